@@ -1,0 +1,77 @@
+"""What shapes the learner. Plain dataclasses: `orchestrator.config` composes them and checks their values."""
+
+from dataclasses import dataclass, field
+from typing import Optional
+
+
+@dataclass
+class NetworkConfig:
+    """Two separate MLPs, policy and value (section 5)."""
+
+    hidden: list[int] = field(default_factory=lambda: [1024, 512])
+    """Units of the hidden layers (ReLU)."""
+    output_scale: float = 0.01
+    """Factor on the policy's initial output weights: small, so that training starts near action zero."""
+
+
+@dataclass
+class PolicyConfig:
+    """The Gaussian policy (section 5)."""
+
+    log_sigma: float = -2.9
+    """Log of the fixed standard deviation of actions in training."""
+
+
+@dataclass
+class PPOConfig:
+    """Proximal policy optimisation (section 5)."""
+
+    gamma: float = 0.99
+    """Discount per policy step."""
+    gae_lambda: float = 0.95
+    """Lambda of generalised advantage estimation."""
+    clip: float = 0.2
+    """Clip range of the probability ratio."""
+    epochs: int = 4
+    """Times each transition is used per update."""
+    minibatch_size: int = 512
+    """Transitions per step, at most; a chunk is cut into equal minibatches no larger than this."""
+    learning_rate: float = 3e-4
+    """Adam's step size at the start."""
+    target_kl: Optional[float] = None
+    """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
+    max_grad_norm: float = 1.0
+    """Gradients are clipped to this norm."""
+    timeout: str = "terminal"
+    """Value after a time-out: `terminal` (zero: it is a failure with a reward of its own, Eq. 9) or `bootstrap`
+    (the value of the pose that it ended in)."""
+    normalize_observations: bool = True
+    """Scale observations by their running mean and deviation."""
+    normalize_values: bool = True
+    """Let the value network predict returns scaled by their running mean and deviation."""
+
+
+@dataclass
+class SBCConfig:
+    """Self-Behavior Cloning (Algorithm 1, Eq. 17)."""
+
+    enabled: bool = True
+    """False: the row No SBC."""
+    weight: float = 0.533
+    """w_sbc of Eq. 17."""
+    gap_weighting: str = "balanced"
+    """g of Eq. 17: `balanced` (T-1)/(T-gap), `inverse` (T-1)/gap, or `uniform` 1."""
+    batch_size: int = 0
+    """K, demonstrations per step; 0: as many as a PPO minibatch."""
+    reduction: str = "sum"
+    """`sum` over the K demonstrations (Eq. 17) or their `mean`."""
+
+
+@dataclass
+class LearnerConfig:
+    """Everything that shapes an update."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    sbc: SBCConfig = field(default_factory=SBCConfig)

@@ -1,0 +1,44 @@
+"""Policy and value networks: two separate MLPs (section 5)."""
+
+import numpy as np
+import torch
+from torch import nn
+
+from workers.kinematics import NUM_DOF
+from workers.observation import OBSERVATION_SIZE
+from workers.types import Policy
+
+
+def build_mlp(outputs, hidden, output_scale, generator):
+    """An MLP from 282 inputs to `outputs`, ReLU between; orthogonal weights drawn from `generator`, zero biases."""
+    sizes = [OBSERVATION_SIZE, *hidden, outputs]
+    layers = []
+    for i, (a, b) in enumerate(zip(sizes, sizes[1:])):
+        layer = nn.Linear(a, b)
+        last = i == len(sizes) - 2
+        nn.init.orthogonal_(layer.weight, gain=output_scale if last else 2.0**0.5, generator=generator)
+        nn.init.zeros_(layer.bias)
+        layers += [layer] if last else [layer, nn.ReLU()]
+    return nn.Sequential(*layers)
+
+
+def build_networks(config, seed, device):
+    """(policy, value) of a `NetworkConfig`, initialised as a function of the run's seed."""
+    generator = torch.Generator().manual_seed(seed)
+    policy = build_mlp(NUM_DOF, config.hidden, config.output_scale, generator)
+    value = build_mlp(1, config.hidden, 1.0, generator)
+    return policy.to(device), value.to(device)
+
+
+def snapshot(policy, normalizer, log_sigma, version):
+    """The `workers.types.Policy` of a policy network and its observation normalizer: numpy, detached from training."""
+    layers = [layer for layer in policy if isinstance(layer, nn.Linear)]
+    mean, scale = normalizer.mean_and_scale()
+    return Policy(
+        weights=tuple(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T) for layer in layers),
+        biases=tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers),
+        observation_mean=mean.cpu().numpy().astype(np.float32),
+        observation_scale=scale.cpu().numpy().astype(np.float32),
+        log_sigma=log_sigma,
+        version=version,
+    )

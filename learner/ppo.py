@@ -1,0 +1,29 @@
+"""Proximal policy optimisation with a Gaussian policy of fixed deviation (section 5)."""
+
+import torch
+
+
+def log_probability(action, mean, sigma):
+    """Log density (n,) of actions (n, 31) up to a constant, which cancels in ratios as sigma is fixed."""
+    return -((action - mean) ** 2).sum(dim=-1) / (2 * sigma**2)
+
+
+def policy_loss(mean, action, old_mean, advantage, sigma, clip):
+    """(clipped surrogate loss, mean KL divergence from the acting policy, share of clipped ratios)."""
+    ratio = torch.exp(log_probability(action, mean, sigma) - log_probability(action, old_mean, sigma))
+    loss = -torch.min(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
+    with torch.no_grad():
+        divergence = ((mean - old_mean) ** 2).sum(dim=-1).mean() / (2 * sigma**2)
+        clipped = ((ratio - 1).abs() > clip).float().mean()
+    return loss, divergence, clipped
+
+
+def adapt_learning_rate(rate, divergence, target):
+    """The next learning rate: smaller if the KL divergence of the last epoch is over 1.5 target, larger below 1/1.5."""
+    if target is None:
+        return rate
+    if divergence > 1.5 * target:
+        return max(rate / 1.3, 1e-5)
+    if divergence < target / 1.5:
+        return min(rate * 1.3, 3e-3)
+    return rate

@@ -1,0 +1,209 @@
+"""`update`: one update of the learner, a pure function of (learner state, chunks)."""
+
+import copy
+import math
+
+import numpy as np
+import torch
+
+from learner import ppo, sbc
+from learner.gae import advantages
+from learner.networks import build_networks, snapshot
+from learner.normalizer import Normalizer
+from workers.observation import OBSERVATION_SIZE
+from workers.types import TIMED_OUT, Chunk, Outcomes, concatenate_outcomes
+
+# Streams of the learner's random numbers
+_SHUFFLE, _DEMONSTRATIONS = 0, 1
+
+
+class LearnerState:
+    """Everything that the learner is between two updates: networks, optimizers, normalizers, learning rate.
+
+    config: `learner.config.LearnerConfig`. `updates` counts the updates that made it. A demonstration's action is
+    expressed in `action` (`workers.config.ActionConfig`), which the acting policy used.
+    """
+
+    def __init__(self, config, action, seed, device="cpu"):
+        self.config, self.action, self.seed, self.device = config, action, seed, device
+        self.policy, self.value = build_networks(config.network, seed, device)
+        self.learning_rate = config.ppo.learning_rate
+        self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate)
+        self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate)
+        self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
+        self.returns = Normalizer(1, config.ppo.normalize_values, device)
+        self.updates = 0
+
+    _PARTS = ("policy", "value", "policy_optimizer", "value_optimizer", "observations", "returns")
+
+    def snapshot(self):
+        """The `workers.types.Policy` to act with."""
+        return snapshot(self.policy, self.observations, self.config.policy.log_sigma, self.updates)
+
+    def state_dict(self):
+        """Plain tensors and numbers for a checkpoint; shares memory with the networks."""
+        parts = {name: getattr(self, name).state_dict() for name in self._PARTS}
+        return {**parts, "learning_rate": self.learning_rate, "updates": self.updates}
+
+    def load_state_dict(self, state):
+        """Become the learner that made `state`."""
+        for name in self._PARTS:
+            getattr(self, name).load_state_dict(state[name])
+        self.learning_rate, self.updates = state["learning_rate"], state["updates"]
+
+
+def update(state, chunks):
+    """(LearnerState, metrics) after one update from `state` on a list of chunks; `state` is left as it was.
+
+    Every epoch uses every transition once, in minibatches of equal size to within one. Each update step does one SBC
+    step (if enabled), then one PPO step (section 5). The chunks' order does not matter: they are put in the order of
+    their environments. metrics: dict of float.
+    """
+    state = copy.deepcopy(state)
+    config, device = state.config, state.device
+    chunk = concatenate_chunks(chunks)
+    horizon, n = chunk.end.shape
+    samples = horizon * n
+
+    def tensor(array):
+        return torch.as_tensor(np.ascontiguousarray(array), device=device)
+
+    observation = tensor(chunk.observation.reshape(samples, -1))
+    with torch.no_grad():
+        inputs = state.observations(observation)
+        advantage, returns, value_error = _targets(state, chunk, inputs)
+    state.returns.update(tensor(returns.reshape(-1, 1)))
+    return_mean, return_scale = (x.float() for x in state.returns.mean_and_scale())
+    wanted_value = (tensor(returns.reshape(-1)) - return_mean) * return_scale
+    action, old_mean = tensor(chunk.action.reshape(samples, -1)), tensor(chunk.mean.reshape(samples, -1))
+    advantage = tensor(advantage.reshape(-1))
+    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+
+    sigma = math.exp(config.policy.log_sigma)
+    batches = -(-samples // config.ppo.minibatch_size)
+    demonstrator = _Demonstrator(state, chunk, config.sbc.batch_size or -(-samples // batches))
+    shuffle = _generator(state, _SHUFFLE)
+    for group in state.policy_optimizer.param_groups:
+        group["lr"] = state.learning_rate
+    sums, steps, divergence_sum = {}, 0, 0.0
+    for epoch in range(config.ppo.epochs):
+        for rows in np.array_split(shuffle.permutation(samples), batches):
+            rows = tensor(rows)
+            record = demonstrator.step()
+            loss, divergence, clipped = ppo.policy_loss(
+                state.policy(inputs[rows]), action[rows], old_mean[rows], advantage[rows], sigma, config.ppo.clip
+            )
+            norm = _descend(loss, state.policy, state.policy_optimizer, config.ppo.max_grad_norm)
+            value_loss = ((state.value(inputs[rows]).squeeze(-1) - wanted_value[rows]) ** 2).mean()
+            _descend(value_loss, state.value, state.value_optimizer, config.ppo.max_grad_norm)
+            record.update({
+                "loss/policy": loss.detach(), "loss/value": value_loss.detach(), "policy/kl": divergence,
+                "policy/clipped": clipped, "gradient/policy": norm,
+            })  # fmt: skip
+            for name, number in record.items():
+                sums[name] = sums.get(name, 0.0) + number
+            if epoch == config.ppo.epochs - 1:
+                divergence_sum += divergence
+            steps += 1
+    metrics = {name: float(total) / steps for name, total in sums.items()}
+    metrics["policy/learning_rate"] = state.learning_rate
+    metrics["value/error"] = value_error
+    metrics["sbc/valid_pairs"] = demonstrator.valid_share
+    state.learning_rate = ppo.adapt_learning_rate(
+        state.learning_rate, float(divergence_sum) / batches, config.ppo.target_kl
+    )
+    # after the epochs, so that they see observations as the acting policy did
+    state.observations.update(observation)
+    state.updates += 1
+    return state, metrics
+
+
+def concatenate_chunks(chunks):
+    """One chunk of all environments, in the order of their index in the run, whoever collected them."""
+    if len(chunks) == 1:
+        return chunks[0]
+    chunks = sorted(chunks, key=lambda chunk: chunk.environment[0])
+    outcomes = [chunk.outcomes for chunk in chunks]
+    order = Outcomes(*(np.concatenate(arrays) for arrays in zip(*(vars(item).values() for item in outcomes)))).order()
+    return Chunk(
+        environment=np.concatenate([chunk.environment for chunk in chunks]),
+        last_observation=np.concatenate([chunk.last_observation for chunk in chunks]),
+        final_observation=np.concatenate([chunk.final_observation for chunk in chunks])[order],
+        outcomes=concatenate_outcomes(outcomes),
+        version=chunks[0].version,
+        **{
+            name: np.concatenate([getattr(chunk, name) for chunk in chunks], axis=1)
+            for name in ("observation", "action", "mean", "reward", "end", "pose", "next_pose", "pd_target")
+        },
+    )
+
+
+def _targets(state, chunk, inputs):
+    """(advantage, return), each (T, N), and the value network's mean absolute error, in units of reward."""
+    horizon, n = chunk.end.shape
+    mean, scale = (x.float() for x in state.returns.mean_and_scale())
+
+    def value(observation):
+        return (state.value(observation).squeeze(-1) / scale + mean).cpu().numpy()
+
+    def value_of(array):
+        return value(state.observations(torch.as_tensor(array, device=state.device)))
+
+    values = value(inputs).reshape(horizon, n)
+    timeout_value = np.zeros_like(values)
+    if state.config.ppo.timeout == "bootstrap":
+        # final_observation lists the ended episodes by step, then by environment: the order of nonzero
+        at = np.nonzero(chunk.end)
+        late = chunk.end[at] == TIMED_OUT
+        if late.any():
+            timeout_value[at[0][late], at[1][late]] = value_of(chunk.final_observation[late])
+    advantage, returns = advantages(
+        chunk.reward, values, value_of(chunk.last_observation), chunk.end, timeout_value,
+        state.config.ppo.gamma, state.config.ppo.gae_lambda,
+    )  # fmt: skip
+    return advantage, returns, float(np.abs(advantage).mean())
+
+
+class _Demonstrator:
+    """Draws demonstrations from a chunk and does the SBC steps of one update."""
+
+    def __init__(self, state, chunk, batch_size):
+        self._state, self._chunk, self._size = state, chunk, batch_size
+        self.valid_share = 0.0
+        self._pairs = ()
+        if state.config.sbc.enabled:
+            self._pairs = sbc.valid_pairs(chunk.pose, chunk.next_pose, chunk.end)
+            horizon, n = chunk.end.shape
+            self.valid_share = len(self._pairs) / (n * horizon * (horizon + 1) / 2)
+            self._random = _generator(state, _DEMONSTRATIONS)
+
+    def step(self):
+        """One gradient step on `batch_size` demonstrations, drawn uniformly from all valid pairs; its metrics."""
+        if not len(self._pairs):
+            return {"loss/sbc": 0.0, "gradient/sbc": 0.0}
+        state, config = self._state, self._state.config.sbc
+        chosen = self._random.integers(len(self._pairs), size=self._size)
+        observation, action = sbc.demonstrations(self._chunk, self._pairs, chosen, state.action)
+        weight = sbc.gap_weights(self._pairs.gap()[chosen], len(self._chunk.end) + 1, config.gap_weighting)
+        observation, action, weight = (
+            torch.as_tensor(array, device=state.device) for array in (observation, action, weight)
+        )
+        with torch.no_grad():
+            inputs = state.observations(observation)
+        loss = sbc.sbc_loss(state.policy(inputs), action, weight, config)
+        norm = _descend(loss, state.policy, state.policy_optimizer, state.config.ppo.max_grad_norm)
+        return {"loss/sbc": loss.detach(), "gradient/sbc": norm}
+
+
+def _descend(loss, network, optimizer, max_norm):
+    """One optimizer step down the gradient, clipped to max_norm; returns the norm before clipping."""
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    norm = torch.nn.utils.clip_grad_norm_(network.parameters(), max_norm)
+    optimizer.step()
+    return norm
+
+
+def _generator(state, stream):
+    """The random numbers of one purpose in this update, a function of (seed, purpose, update)."""
+    return np.random.Generator(np.random.Philox(key=[state.seed, 2**32 * stream + state.updates]))

@@ -1,0 +1,1 @@
+"""Runs and sweeps: configuration, Ray actors, curriculum, evaluation, MLflow, tables, command lines."""

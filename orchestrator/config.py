@@ -1,0 +1,131 @@
+"""The configuration of one run: every key, its default and its meaning. A run is a deterministic function of it.
+
+Defaults are the paper's (configs/scale/paper.yaml adds its sizes). `orchestrator.settings` reads files and command
+lines into this and checks the values.
+"""
+
+from dataclasses import dataclass, field
+from typing import Optional
+
+from learner.config import LearnerConfig
+from motion.state_machine import MotionsConfig
+from workers.config import EnvConfig
+
+
+@dataclass
+class BudgetConfig:
+    """How long a run trains: whichever of the two ends first; at least one must be given."""
+
+    samples: Optional[int] = None
+    """Environment steps in all."""
+    iterations: Optional[int] = None
+    """Updates of the learner; each uses num_envs * horizon samples."""
+
+
+@dataclass
+class CurriculumConfig:
+    """Shrinking thresholds (Eq. 16)."""
+
+    start: list[float] = field(default_factory=lambda: [0.3, 3.0, 1.0])
+    """First thresholds of d^rp (m), d^kp (m) and d^q (rad)."""
+    floor: list[float] = field(default_factory=lambda: [0.01, 0.09, 0.15])
+    """Last thresholds: the final accuracy."""
+    factor: float = 0.9
+    """Each tightening multiplies the thresholds by this, down to the floor."""
+    achievement: float = 0.88
+    """Tighten when the achievement rate over the window exceeds this."""
+    window: int = 100
+    """Length of the sliding window; it restarts after every tightening and must be full."""
+    window_unit: str = "iterations"
+    """Unit of the window: `iterations` or `episodes`."""
+
+
+@dataclass
+class CheckpointConfig:
+    """Checkpoints of a run, in its folder."""
+
+    every: int = 10
+    """Iterations between checkpoints."""
+    keep: int = 3
+    """How many are kept."""
+
+
+@dataclass
+class EvaluationConfig:
+    """The grid of tasks and the noise of section 6."""
+
+    moment_spacing: float = 0.03
+    """Seconds between source moments in a cancel range."""
+    rotation_spacing: float = 0.03490658503988659
+    """Radians between rotations (pi / 90)."""
+    max_tasks: int = 0
+    """Evaluate at most this many tasks, spread evenly over the grid; 0: all."""
+    num_envs: int = 256
+    """Simulations at a time."""
+    log_sigma: float = -3.7
+    """Log of the actions' standard deviation."""
+    robustness_log_sigmas: list[float] = field(default_factory=lambda: [-4.1, -3.7, -3.3, -2.9, -2.5])
+    """Candidates for MS, the largest noise at which every task is reached."""
+    thresholds: str = "final"
+    """Reach criterion: `final` (the final accuracy, as the paper's table) or `trained` (where the run's own
+    curriculum stood at its end)."""
+
+
+@dataclass
+class TrackingConfig:
+    """MLflow. The address is MLFLOW_TRACKING_URI, else `uri`, else SQLite in mlflow.db of the working directory."""
+
+    enabled: bool = True
+    """Log runs to MLflow."""
+    uri: Optional[str] = None
+    """Tracking address; MLFLOW_TRACKING_URI goes before it."""
+
+
+@dataclass
+class Config(EnvConfig, LearnerConfig):
+    """One run. Keys of the environment (workers.config) and of the learner (learner.config) stand at the top level."""
+
+    motions: MotionsConfig = field(default_factory=lambda: MotionsConfig(name="builtin"))
+    """Clips and state machine; `motions=NAME` chooses a file of configs/motions/ (or a path)."""
+    scale: str = "laptop"
+    """Which file of configs/scale/ was applied before all other overrides."""
+    row: str = "ours"
+    """Row of the table that this run belongs to."""
+    seed: int = 0
+    """All random numbers of the run are functions of this."""
+    out: Optional[str] = None
+    """Folder of the sweep or run; default runs/<sweep>."""
+    runtime: str = "ray"
+    """`ray`: actors. `local`: the same numbers in one process, for debugging."""
+    device: str = "auto"
+    """Where the learner computes: `auto`, `cpu` or `cuda`."""
+    num_envs: int = 4096
+    """Simulations in all, over all workers."""
+    num_workers: int = 1
+    """Rollout workers; each steps an equal share of the simulations."""
+    worker_threads: int = 1
+    """Threads (and CPUs) of one worker."""
+    learner_threads: int = 1
+    """Threads (and CPUs) of the learner; for small networks one is the fastest."""
+    horizon: int = 16
+    """Steps per simulation and chunk."""
+    pipeline_depth: int = 1
+    """d: chunk k is collected with policy k - d. 0: learner and workers take turns; 1: they overlap."""
+    budget: BudgetConfig = field(default_factory=BudgetConfig)
+    curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
+    checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
+
+    @property
+    def samples_per_iteration(self):
+        """Environment steps per iteration, num_envs * horizon."""
+        return self.num_envs * self.horizon
+
+    @property
+    def total_iterations(self):
+        """Iterations that the budget allows."""
+        limits = [self.budget.iterations] if self.budget.iterations is not None else []
+        if self.budget.samples is not None:
+            limits.append(-(-self.budget.samples // self.samples_per_iteration))
+        return min(limits)

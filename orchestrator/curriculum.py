@@ -1,0 +1,67 @@
+"""The curriculum of shrinking thresholds (Eq. 16): a pure function of the outcomes in order."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from workers.types import REACHED, Thresholds
+
+
+@dataclass(frozen=True)
+class CurriculumState:
+    """window: (reached, ended) per entry, oldest first; tightenings: cuts so far; achieved_at: iteration at which the
+    final accuracy was set as threshold, or None; iteration: chunks observed."""
+
+    window: tuple = ()
+    tightenings: int = 0
+    iteration: int = 0
+    achieved_at: int | None = None
+
+
+def final_tightenings(config):
+    """How many cuts it takes until every threshold is at its floor."""
+    count = 0
+    while any(start * config.factor**count > floor for start, floor in zip(config.start, config.floor)):
+        count += 1
+    return count
+
+
+def thresholds(config, reach, tightenings):
+    """`Thresholds` after so many cuts: each start value times factor^tightenings, but not below its floor.
+
+    config: `CurriculumConfig`; reach: `workers.config.ReachConfig`.
+    """
+    cut = config.factor**tightenings
+    values = [max(start * cut, floor) for start, floor in zip(config.start, config.floor)]
+    heading = max(reach.heading_start * cut, reach.heading_floor) if reach.heading else np.inf
+    return Thresholds(*values, heading=heading, tightenings=tightenings)
+
+
+def observe(state, config, outcomes):
+    """The `CurriculumState` after the outcomes of one more iteration (episodes in the order in which they ended).
+
+    The window holds the last `config.window` iterations or episodes. When it is full and the achievement rate over it
+    exceeds `config.achievement`, the thresholds are cut once and the window starts again.
+    """
+    iteration = state.iteration + 1
+    reached = outcomes.end == REACHED
+    if config.window_unit == "iterations":
+        entries = [(int(reached.sum()), len(outcomes))]
+    else:
+        entries = [(int(hit), 1) for hit in reached]
+    window, tightenings = state.window, state.tightenings
+    for entry in entries:
+        window = (*window, entry)[-config.window :]
+        if len(window) == config.window and _rate(window) > config.achievement:
+            window, tightenings = (), tightenings + 1
+    last = final_tightenings(config)
+    tightenings = min(tightenings, last)
+    achieved_at = state.achieved_at
+    if achieved_at is None and tightenings == last:
+        achieved_at = iteration
+    return replace(state, window=window, tightenings=tightenings, iteration=iteration, achieved_at=achieved_at)
+
+
+def _rate(window):
+    ended = sum(count for _, count in window)
+    return sum(hits for hits, _ in window) / ended if ended else 0.0

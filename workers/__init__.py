@@ -1,0 +1,1 @@
+"""Rollout: the humanoid's model, the batched transition environment, and `collect`. Start with `workers.types`."""

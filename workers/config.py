@@ -1,0 +1,99 @@
+"""What shapes the environment. Plain dataclasses: `orchestrator.config` composes them and checks their values.
+
+References (Eq., section) are to the equations as this project reads them, docs/equations.md. A default is the paper's,
+or the project's reading of it; what departs from the paper is switched on in a file of configs/scale/, by name.
+"""
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class RewardConfig:
+    """The reward of Eq. 1-13. The two switches are rows of the paper's table."""
+
+    upper_body_penalty: bool = True
+    """Double negative improvements of the upper body (S of Eq. 8). False: the row No URP."""
+    tremble: bool = True
+    """Penalise joint velocities that change sign (Eq. 12). False: the row No TR."""
+    key_body_frame: str = "common"
+    """Where key bodies are compared: `common` (both poses in the frame of p_t) or `own` (each in its own)."""
+    failure: float = -3.0
+    """r_end of a fall or a time-out (Eq. 9)."""
+
+
+@dataclass
+class ReachConfig:
+    """When the target counts as reached (section 4)."""
+
+    heading: bool = False
+    """Ask also for d^rq, the root's orientation, below a threshold of its own. Off in the paper."""
+    heading_start: float = 1.0
+    """First threshold of d^rq in rad, if `heading`."""
+    heading_floor: float = 0.1
+    """Last threshold of d^rq in rad, if `heading`."""
+
+
+@dataclass
+class FallConfig:
+    """What counts as a fall (section 3)."""
+
+    ignore_bodies: list[str] = field(default_factory=lambda: ["sword", "shield"])
+    """Bodies that may touch the ground besides the feet."""
+
+
+@dataclass
+class RotationConfig:
+    """How the target is turned about the vertical (section 4). The range is `motions.rotation`."""
+
+    reference: str = "source"
+    """Angle 0 keeps the character's heading (`source`) or the target clip's own heading (`world`)."""
+
+
+@dataclass
+class TaskConfig:
+    """The task planner (section 4)."""
+
+    stay_probability: float = 0.5
+    """Probability of keeping the same task after a failure."""
+    transition_time: float = 0.8
+    """T of Eq. 14 in seconds."""
+    max_steps: int = 60
+    """A transition that takes more policy steps than this is a failure (time-out)."""
+
+
+@dataclass
+class ActionConfig:
+    """What the 31 numbers of an action mean (section 2)."""
+
+    mode: str = "absolute"
+    """`absolute`: the PD target itself (the paper's). `target`: an offset from the target pose's joint rotations.
+    `current`: an offset from the current pose's."""
+    scale: float = 1.0
+    """Radians per unit of the policy's output."""
+
+
+@dataclass
+class PhysicsConfig:
+    """Simulation (section 1 and 7): 120 Hz physics, 30 Hz policy."""
+
+    timestep: float = 1.0 / 120.0
+    """Seconds per physics step."""
+    substeps: int = 4
+    """Physics steps per action."""
+    iterations: int = 10
+    """Most iterations of the Newton solver."""
+    ls_iterations: int = 10
+    """Most iterations of its line search."""
+
+
+@dataclass
+class EnvConfig:
+    """Everything that shapes the environment besides the clips."""
+
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    reach: ReachConfig = field(default_factory=ReachConfig)
+    fall: FallConfig = field(default_factory=FallConfig)
+    rotation: RotationConfig = field(default_factory=RotationConfig)
+    task: TaskConfig = field(default_factory=TaskConfig)
+    action: ActionConfig = field(default_factory=ActionConfig)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)

@@ -1,0 +1,98 @@
+"""`collect`: one chunk of trajectories, a pure function of (worker state, policy, thresholds)."""
+
+import numpy as np
+
+from workers.counter_random import ACTION, fill_normal
+from workers.environment import Environment, new_observations
+from workers.inference import PolicyNetwork
+from workers.kinematics import NUM_DOF, NQ, NV
+from workers.types import Chunk, Outcomes, concatenate_outcomes
+
+
+class Rollout:
+    """A worker's environments and scratch memory. `collect` leaves nothing behind that a later call depends on."""
+
+    def __init__(self, config, library, num_envs, horizon, seed, threads=1):
+        """config: `EnvConfig`; library: `MotionLibrary`; seed: of the run."""
+        self._environment = Environment(config, library, num_envs, threads)
+        self._horizon, self._seed = horizon, seed
+
+    def initial_state(self, first):
+        """The state before the first chunk, of the environments with indices first, first + 1, ... in the run."""
+        env = self._environment
+        index = np.arange(first, first + env.num_envs, dtype=np.int64)
+        episode = np.full(env.num_envs, -1, dtype=np.int64)
+        ids = np.arange(env.num_envs)
+        env.end[:] = 0
+        env.plan(self._seed, index, episode, ids)
+        env.begin(ids)
+        return env.save(index, episode, clock=0)
+
+    def collect(self, state, policy, thresholds):
+        """(Chunk, WorkerState) after `horizon` steps of the policy from `state`; see `workers.types`."""
+        env, horizon, n = self._environment, self._horizon, self._environment.num_envs
+        env.load(state)
+        index, episode, clock = state.environment, state.episode.copy(), state.clock
+        network = PolicyNetwork(policy, n)
+        sigma = np.float32(np.exp(policy.log_sigma))
+
+        observation = new_observations(horizon, n)
+        action = np.empty((horizon, n, NUM_DOF), dtype=np.float32)
+        mean = np.empty_like(action)
+        pd_target = np.empty_like(action)
+        reward = np.empty((horizon, n), dtype=np.float32)
+        end = np.empty((horizon, n), dtype=np.int8)
+        pose = np.empty((horizon, n, NQ + NV), dtype=np.float32)
+        next_pose = np.empty_like(pose)
+        noise = np.empty((n, NUM_DOF))
+        nobody = np.zeros(0, dtype=np.int64)
+        final, ended = [env.observe(new_observations(0), nobody)], [outcomes(env, clock, index, nobody)]
+        for t in range(horizon):
+            env.observe(observation[t])
+            mean[t] = network.mean(observation[t])
+            fill_normal(self._seed, ACTION, index, np.full(n, clock), noise)
+            action[t] = mean[t] + sigma * noise.astype(np.float32)
+            pose[t, :, :NQ], pose[t, :, NQ:] = env.qpos, env.qvel
+            env.step(action[t], thresholds)
+            clock += 1
+            next_pose[t, :, :NQ], next_pose[t, :, NQ:] = env.qpos, env.qvel
+            pd_target[t] = env.pd_target
+            reward[t] = env.parts.sum(axis=1)
+            end[t] = env.end
+            ids = np.flatnonzero(env.end)
+            if len(ids):
+                final.append(env.observe(new_observations(len(ids)), ids))
+                ended.append(outcomes(env, clock, index, ids))
+                env.plan(self._seed, index, episode, ids)
+                env.begin(ids)
+        chunk = Chunk(
+            environment=index.copy(),
+            observation=observation,
+            action=action,
+            mean=mean,
+            reward=reward,
+            end=end,
+            last_observation=env.observe(new_observations(n)),
+            final_observation=np.concatenate(final),
+            pose=pose,
+            next_pose=next_pose,
+            pd_target=pd_target,
+            outcomes=concatenate_outcomes(ended),
+            version=policy.version,
+        )
+        return chunk, env.save(index, episode, clock)
+
+
+def outcomes(env, clock, index, ids):
+    """The `Outcomes` of rows ids of an environment, whose episodes have just ended."""
+    return Outcomes(
+        clock=np.full(len(ids), clock, dtype=np.int64),
+        environment=index[ids],
+        task=env.task[ids],
+        end=env.end[ids],
+        fell_on=env.fell_on[ids],
+        steps=env.steps[ids],
+        trembles=env.trembles[ids],
+        parts=env.totals[ids],
+        deviations=env.deviations[ids],
+    )

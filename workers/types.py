@@ -1,0 +1,159 @@
+"""The data that flows through a run; read this first.
+
+    collect(worker_state, policy, thresholds) -> (chunk, worker_state)      workers.rollout
+    update(learner_state, chunks)             -> (learner_state, metrics)   learner.update
+    observe(curriculum_state, outcomes)       -> curriculum_state           orchestrator.curriculum
+
+All three are pure: the result depends on the arguments and the run's configuration, on nothing else, and the arguments
+are left as they were. N is the number of environments of one worker, T the horizon. Environments are named by their
+index in the whole run, so their random numbers, and hence all numbers, do not depend on how workers share them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """A task is reached when every deviation is below its threshold (section 4)."""
+
+    root_position: float
+    """d^rp, m."""
+    key_bodies: float
+    """d^kp, m."""
+    joint_rotation: float
+    """d^q, rad."""
+    heading: float = np.inf
+    """d^rq, rad; infinite unless `reach.heading`."""
+    tightenings: int = 0
+    """How many times the curriculum has cut them."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A snapshot of the policy: all that a worker needs to act. float32 arrays.
+
+    weights, biases: one (inputs, outputs) matrix and one (outputs,) vector per layer, ReLU between.
+    observation_mean, observation_scale: (282,); the network sees clip((s - mean) * scale, -10, 10).
+    log_sigma: log standard deviation of every action dimension.
+    version: number of updates that made it.
+    """
+
+    weights: tuple
+    biases: tuple
+    observation_mean: np.ndarray
+    observation_scale: np.ndarray
+    log_sigma: float
+    version: int
+
+
+@dataclass(frozen=True)
+class WorkerState:
+    """Everything that a worker's environments are, between two chunks. Arrays have N rows.
+
+    environment: (N,) int64, index of each environment in the whole run.
+    physics: (N, nstate) float64, MuJoCo's integration state (positions, velocities, warm start, ...).
+    steps: (N,) int64, policy steps taken in the running episode.
+    trembles: (N,) int64, C_t of Eq. 12.
+    episode: (N,) int64, episodes begun so far; the counter of the planner's random numbers.
+    task: (N, 4) float64, source state, moment (s), target state, rotation (rad).
+    target_qpos, target_qvel: (N, 47), (N, 37), the target pose in the world.
+    totals: (N, NUM_PARTS) float64, reward of the running episode by part (`REWARD_PARTS`).
+    clock: policy steps taken since the start of the run; the counter of the actions' noise.
+    """
+
+    environment: np.ndarray
+    physics: np.ndarray
+    steps: np.ndarray
+    trembles: np.ndarray
+    episode: np.ndarray
+    task: np.ndarray
+    target_qpos: np.ndarray
+    target_qvel: np.ndarray
+    totals: np.ndarray
+    clock: int
+
+
+# Parts of the reward, in the order of WorkerState.totals, Outcomes.parts
+REWARD_PARTS = ("root_position", "root_velocity", "root_rotation", "key_bodies", "upper_body", "end", "tremble")
+NUM_PARTS = len(REWARD_PARTS)
+
+# How an episode ends; CONTINUES is none of them
+CONTINUES, REACHED, FELL, TIMED_OUT = 0, 1, 2, 3
+
+# Deviations of section 3, in the order of Outcomes.deviations
+DEVIATIONS = (
+    "root_position", "root_velocity", "root_rotation", "key_bodies", "joint_rotation", "lower_body", "joint_velocity",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """The E episodes that ended in a chunk, ordered by step, then by environment.
+
+    clock: (E,) int64, policy steps since the start of the run. environment: (E,) int64, index in the run.
+    task: (E, 4), as in WorkerState.
+    end: (E,) int8, REACHED, FELL or TIMED_OUT. fell_on: (E,) int16, the body that touched the ground, else -1.
+    steps: (E,) int64, TS. trembles: (E,) int64, TC.
+    parts: (E, NUM_PARTS) float64, accumulated reward by part; their sum is the return.
+    deviations: (E, 7) float64 of the last frame, in `DEVIATIONS` order.
+    """
+
+    clock: np.ndarray
+    environment: np.ndarray
+    task: np.ndarray
+    end: np.ndarray
+    fell_on: np.ndarray
+    steps: np.ndarray
+    trembles: np.ndarray
+    parts: np.ndarray
+    deviations: np.ndarray
+
+    def __len__(self):
+        return len(self.end)
+
+    def order(self):
+        """Indices that put episodes in the order of this class, whoever collected them."""
+        return np.lexsort((self.environment, self.clock))
+
+    def take(self, order):
+        """The episodes at the indices `order`."""
+        return Outcomes(**{name: array[order] for name, array in vars(self).items()})
+
+
+def concatenate_outcomes(items):
+    """One `Outcomes` of a sequence of them, in order; at least one, which may be empty."""
+    joined = Outcomes(**{name: np.concatenate([getattr(item, name) for item in items]) for name in vars(items[0])})
+    return joined.take(joined.order())
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """T steps of N environments: what PPO and SBC learn from. float32 unless said otherwise.
+
+    environment: (N,) int64, index of each environment in the whole run.
+    observation: (T, N, 282), s_t. action: (T, N, 31), the policy's output with noise. mean: (T, N, 31), without.
+    reward: (T, N), r_t of Eq. 13.
+    end: (T, N) int8, CONTINUES, REACHED, FELL or TIMED_OUT after this step.
+    last_observation: (N, 282), s_T of the running episodes (after a reset where one ended at the last step).
+    final_observation: (E, 282), the observation that each ended episode ended in, in the order of `outcomes`.
+    pose: (T, N, 84), qpos and qvel before the step. next_pose: (T, N, 84), after it, before any reset.
+    pd_target: (T, N, 31), joint coordinates that the step's PD controllers aimed at.
+    outcomes: the episodes that ended.
+    version: version of the policy that acted.
+    """
+
+    environment: np.ndarray
+    observation: np.ndarray
+    action: np.ndarray
+    mean: np.ndarray
+    reward: np.ndarray
+    end: np.ndarray
+    last_observation: np.ndarray
+    final_observation: np.ndarray
+    pose: np.ndarray
+    next_pose: np.ndarray
+    pd_target: np.ndarray
+    outcomes: Outcomes
+    version: int
