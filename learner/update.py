@@ -28,8 +28,8 @@ class LearnerState:
         self.config, self.action, self.seed, self.device = config, action, seed, device
         self.policy, self.value = build_networks(config.network, seed, device)
         self.learning_rate = config.ppo.learning_rate
-        self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate)
-        self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate)
+        self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
+        self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=self.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
         self.updates = 0

@@ -10,7 +10,7 @@ from motion import rotations, skeleton
 from motion.errors import InputError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Clip:
     """Poses of one clip; immutable. Make one with `Clip.from_poses`, which checks its input.
 

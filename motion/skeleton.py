@@ -88,6 +88,9 @@ LOWER_JOINTS = np.array([i for i, joint in enumerate(JOINTS) if not joint.upper]
 PARENTS = np.array([body.parent for body in BODIES])
 OFFSETS = np.array([body.offset for body in BODIES])
 
+for _table in (JOINT_QPOS, JOINT_DOF, KEY_BODIES, FOOT_BODIES, JOINT_WEIGHTS, UPPER_JOINTS, LOWER_JOINTS, PARENTS, OFFSETS):
+    _table.flags.writeable = False
+
 
 def joint_quaternions(qpos):
     """Local rotation of every joint as a quaternion, (..., 47) -> (..., 13, 4)."""

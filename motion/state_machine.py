@@ -9,7 +9,7 @@ import hashlib
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class MotionsConfig:
     # the set's name, for logs and checkpoints
     name: str
     # folder of the clips; not needed where all are builtin
-    dir: Optional[str] = None
+    dir: str | None = None
     # rad; range of the target's turn about the vertical, against the source's heading (sbc.md section 4)
     rotation: list[float] = field(default_factory=lambda: [-math.pi / 2, math.pi / 2])
     # the transitions: "all" (every clip to every clip, itself included) or a list of [source, target] names
@@ -137,7 +137,7 @@ def _moment(key, value, clip):
     """`value` in seconds, which must lie in the clip; up to a frame past its end counts as its end."""
     value = float(value)
     if not 0 <= value <= clip.duration + 1 / clip.fps:
-        raise InputError(f"{key}: {value:g} s is outside the clip, which lasts {clip.duration:.3f} s; give a time in it")
+        raise InputError(f"{key}: {value:g} s is outside the clip; it lasts {clip.duration:.3f} s: give a time in it")
     return min(value, clip.duration)
 
 

@@ -15,7 +15,7 @@ from orchestrator.validate import shown
 NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
 
 # Keys that change no number of a run: another value continues it
-FREE = ("out", "runtime", "num_workers", "worker_threads", "tracking.", "checkpoint.")
+FREE = ("out", "runtime", "worker_threads", "tracking.", "checkpoint.")
 BUDGET = ("budget.",)  # may be raised
 EVALUATION = ("evaluation.",)  # another value needs another evaluation, but no other training
 
@@ -49,6 +49,7 @@ def state_of(folder, config):
             raise InputError(f"{folder}: holds metrics but no config.yaml; choose another out= or delete this folder")
         return NEW
     changed = [entry for entry in differences(load(path), config) if not entry[0].startswith(FREE)]
+    changed = [entry for entry in changed if entry[0] != "device" or entry[2] != "auto"]  # auto: as it was
     for key, old, new in changed:
         if not key.startswith(BUDGET + EVALUATION):
             raise InputError(

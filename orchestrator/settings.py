@@ -19,7 +19,6 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from motion.errors import InputError
-from motion.state_machine import MotionsConfig
 from orchestrator.config import Config
 from orchestrator.keys import all_keys, find_key, keys_of, suggestion
 from orchestrator.validate import check_values, shown
@@ -102,11 +101,6 @@ def stacked(layers):
             entries = [entry for entry in entries if not entry[0].startswith("budget.")]
         entries += layer
     return entries
-
-
-def defaults():
-    """The `Config` of the dataclasses' defaults, without clips."""
-    return Config(motions=MotionsConfig(name=""))
 
 
 def shown_path(path):
@@ -197,7 +191,7 @@ def fit(annotation, value):
 def to_config(values, what):
     """The `Config` of nested values over the defaults, interpolations resolved. `what` names their origin in errors."""
     try:
-        config = OmegaConf.merge(OmegaConf.structured(defaults()), values)
+        config = OmegaConf.merge(OmegaConf.structured(Config), values)
         OmegaConf.resolve(config)
         return OmegaConf.to_object(config)
     except OmegaConfBaseException as error:
@@ -228,11 +222,18 @@ def save(config, path):
     os.replace(temporary, path)
 
 
-def load(path):
-    """The `Config` that `save` wrote. InputError if the file is missing or not a configuration of this version."""
-    result = to_config(read_yaml(path, "configuration"), f"configuration {path}")
-    check_values(result, lambda key: str(path))
-    return result
+def load(path, arguments=()):
+    """The `Config` that `save` wrote, with key=value arguments over it. InputError if missing, broken or out of range."""
+    command = command_line(arguments)
+    for key in FILE_KEYS:
+        if key in command.values:
+            raise InputError(f"command line: {key}= chooses a file for a new run; {path} is complete already")
+    entries = [(key, value, str(path)) for key, value in flatten(read_yaml(path, "configuration"))]
+    entries = stacked([entries, [(key, value, command.origin) for key, value in flatten(command.values)]])
+    result = to_config(nested(entries), f"configuration {path}")
+    origins = {key: origin for key, _, origin in entries}
+    check_values(result, lambda key: origins.get(key, "default"))
+    return absolute_paths(result)
 
 
 def describe():

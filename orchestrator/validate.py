@@ -82,6 +82,7 @@ RULES = {
     "num_envs": at_least(1),
     "num_workers": at_least(1),
     "worker_threads": at_least(1),
+    "learner_threads": at_least(1),
     "horizon": at_least(1),
     "pipeline_depth": choice(0, 1),
     "budget.samples": at_least(1),

@@ -84,6 +84,8 @@ class PhysicsConfig:
     """Most iterations of the Newton solver."""
     ls_iterations: int = 10
     """Most iterations of its line search."""
+    tolerance: float = 1e-6
+    """The solver stops when an iteration improves its (scaled) cost by less; MuJoCo's 1e-8 moves nothing visible."""
 
 
 @dataclass

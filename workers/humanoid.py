@@ -151,7 +151,7 @@ def mjcf(physics=PhysicsConfig()):
     return f"""<mujoco model="sword_and_shield">
 <compiler angle="radian" autolimits="true"/>
 <option timestep="{physics.timestep!r}" integrator="implicitfast" solver="Newton" jacobian="sparse"
-  iterations="{physics.iterations}" ls_iterations="{physics.ls_iterations}"/>
+  iterations="{physics.iterations}" ls_iterations="{physics.ls_iterations}" tolerance="{physics.tolerance!r}"/>
 <size memory="1M"/>
 <worldbody>
 <geom name="floor" type="plane" size="0 0 1" {_FLOOR_CONTACT}/>

@@ -25,11 +25,12 @@ def read_clip(path, name=None, looping=None):
     try:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: is empty; copy or export it again")
-        return reader(path, name or path.stem, looping)
+        return reader(path, name, looping)
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file{_similar(path)}") from error
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path and its permissions") from error
+        reason = error.strerror or error
+        raise InputError(f"{path}: cannot be read ({reason}); check the path and its permissions") from error
 
 
 def _similar(path):

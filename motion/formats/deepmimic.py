@@ -23,7 +23,7 @@ _JOINTS = (
 )  # fmt: skip
 
 
-def read(path, name, looping=None):
+def read(path, name=None, looping=None):
     """The clip in `path`; `looping` None takes the file's `Loop`. The right hand, which DeepMimic lacks, is straight.
 
     Raises InputError (naming the file) for other JSON, other columns, and frame times that are not even.

@@ -50,7 +50,7 @@ def write(clip, path):
         partial.unlink(missing_ok=True)
 
 
-def read(path, name, looping=None):
+def read(path, name=None, looping=None):
     """The clip in `path`; `looping` None takes the file's. Raises InputError (naming the file) for anything else."""
     data = _load(path)
     missing = [field for field in ("format_version", "joint_names", "fps", "looping", *_SHAPES) if field not in data]
@@ -61,9 +61,8 @@ def read(path, name, looping=None):
         raise InputError(f"{path}: has format version {version}, this program reads {FORMAT_VERSION}; write it again")
     names = [str(joint) for joint in np.atleast_1d(data["joint_names"])]
     if names != list(skeleton.JOINT_NAMES):
-        first = next(
-            (f"{a!r}, not {b!r}" for a, b in zip(names, skeleton.JOINT_NAMES) if a != b), f"{len(names)} joints, not 13"
-        )
+        both = zip(names, skeleton.JOINT_NAMES, strict=False)
+        first = next((f"{own!r}, not {ours!r}" for own, ours in both if own != ours), f"{len(names)} joints, not 13")
         raise InputError(f"{path}: is of another skeleton ({first}); retarget the clip")
     for field in ("fps", "looping"):
         if data[field].shape != () or data[field].dtype.kind not in "fiub":
@@ -71,7 +70,8 @@ def read(path, name, looping=None):
     for field, width in _SHAPES.items():
         array = data[field]
         if array.dtype.kind != "f" or array.shape != (len(data["joints"]), width):
-            raise InputError(f"{path}: '{field}' is {array.dtype} {array.shape}, not floats (T, {width}); write it again")
+            found = f"{array.dtype} {array.shape}"
+            raise InputError(f"{path}: '{field}' is {found}, not floats (T, {width}); write the clip again")
     qpos = skeleton.assemble_qpos(data["root_position"], data["root_quaternion"], data["joints"])
     looping = bool(data["looping"]) if looping is None else looping
     return make_clip(path, name, qpos, float(data["fps"]), looping)

@@ -1,8 +1,8 @@
 """Reads the pickled object of a `.npy` object array without running anything that the file asks for.
 
 A pickle is a program. Here it finds no name but the handful that a dictionary of arrays needs, and numpy's own are
-stood in for by the classes below, because numpy trusts a pickled state: an object `dtype` whose flags were cleared makes
-`ndarray` take raw bytes for pointers (numpy 2.4: a crash at the first look at the array, or worse).
+stood in for by the classes below, because numpy trusts a pickled state: an object `dtype` whose flags were cleared
+makes `ndarray` take raw bytes for pointers (numpy 2.4: a crash at the first look at the array, or worse).
 """
 
 import math

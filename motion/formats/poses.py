@@ -1,6 +1,7 @@
 """What every reader ends with: checked, sign-continuous poses, and closed cycles, as a `Clip`."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,18 +12,21 @@ from motion.errors import InputError
 CLOSING_TIME = 0.25  # s; shorter makes the seam's velocity a spike, longer changes more of the recorded motion
 LARGEST_GAP = 0.7  # rad; the worst of DeepMimic's cyclic clips is 0.50 (walk, right ankle)
 LARGEST_STEP = 0.1  # m, between the root heights of both ends
+LARGEST_NUMBER = 1e6  # m or rad; beyond it there is no clip, only a damaged file
 UNIT_TOLERANCE = 0.5  # of a quaternion's length; DeepMimic has 0.58 (kick), blended linearly between key frames
 
 _QUATERNIONS = [("root", slice(3, 7))] + [
     (joint.name, slice(7 + start, 11 + start))
-    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_QPOS)
+    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_QPOS, strict=True)
     if joint.dof == 3
 ]
-_HINGES = [(joint.name, 7 + start) for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_QPOS) if joint.dof == 1]
+_HINGES = [
+    (joint.name, 7 + start) for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_QPOS, strict=True) if joint.dof == 1
+]
 
 
 def make_clip(source, name, qpos, fps, looping, turning=True):
-    """A clip called `name` of poses (T, 47) from `source` (the file, for messages).
+    """A clip of poses (T, 47) from `source` (the file, for messages), called `name` or else as the file is.
 
     Quaternion signs are made continuous over time (w >= 0 in the first frame); a looping clip's cycle is closed, with
     or without the change of heading over a cycle (`turning`). Raises InputError naming `source` for poses that
@@ -30,18 +34,29 @@ def make_clip(source, name, qpos, fps, looping, turning=True):
     """
     qpos = np.array(qpos, dtype=np.float64)
     if qpos.ndim == 2 and qpos.shape[1] == skeleton.NQ:
+        check_numbers(source, qpos)
         for part, columns in _QUATERNIONS:
             length = np.linalg.norm(qpos[:, columns], axis=1)
             if np.any(np.abs(length - 1) > UNIT_TOLERANCE):
                 frame = int(np.argmax(np.abs(length - 1) > UNIT_TOLERANCE))
                 raise InputError(
-                    f"{source}: frame {frame}: the rotation of {part} is no unit quaternion (length {length[frame]:.3g}):"
-                    " is this the 31-DOF skeleton?"
+                    f"{source}: frame {frame}: the rotation of {part} is no unit quaternion"
+                    f" (length {length[frame]:.3g}): is this the 31-DOF skeleton?"
                 )
             qpos[:, columns] = continuous(qpos[:, columns])
-        if looping and len(qpos) > 1 and np.isfinite(qpos).all() and fps > 0:
+        if looping and len(qpos) > 1 and 0 < fps < np.inf:
             qpos = close_cycle(source, qpos, fps, turning)
-    return replace(Clip.from_poses(str(source), qpos, fps, looping), name=name)
+    return replace(Clip.from_poses(str(source), qpos, fps, looping), name=name or Path(source).stem)
+
+
+def check_numbers(source, *arrays):
+    """Raises InputError, naming the frame, where one of the arrays (T, ...) holds NaN, infinity or an absurd number."""
+    for array in arrays:
+        sound = np.abs(array) <= LARGEST_NUMBER  # False for NaN
+        if not sound.all():
+            frame = int(np.argwhere(~sound)[0][0])
+            value = array[frame][~sound[frame]].flat[0]
+            raise InputError(f"{source}: frame {frame} holds {value:.3g}; export the clip again")
 
 
 def continuous(quaternions):

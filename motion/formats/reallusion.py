@@ -9,7 +9,7 @@ import numpy as np
 from motion import skeleton
 from motion.errors import InputError
 from motion.formats import pickles
-from motion.formats.poses import make_clip
+from motion.formats.poses import check_numbers, make_clip
 
 OFFSET_TOLERANCE = 1e-4  # m; the files hold float32
 HINGE_TOLERANCE = 0.05  # rad of rotation about another axis than y
@@ -19,7 +19,7 @@ _WELDED = [i for i in range(1, skeleton.NUM_BODIES) if i not in {joint.body for 
 _EXPECTED = "the 31-DOF sword & shield figure"
 
 
-def read(path, name, looping=None):
+def read(path, name=None, looping=None):
     """The clip in `path`. The format has no looping flag: None means False.
 
     Raises InputError (naming the file) for anything that is not a SkeletonMotion of this skeleton.
@@ -33,11 +33,13 @@ def read(path, name, looping=None):
     _check_skeleton(path, tree)
     rotation = _array(path, data, "rotation")
     translation = _array(path, data, "root_translation")
-    frames = len(rotation)
+    frames = len(rotation) if rotation.ndim else 0
     if rotation.shape != (frames, skeleton.NUM_BODIES, 4) or translation.shape != (frames, 3):
         raise InputError(
             f"{path}: rotation {rotation.shape} and root_translation {translation.shape} are not (T, 17, 4) and (T, 3)"
         )
+    # here, because the poses leave out what hinges and welds do not need
+    check_numbers(path, rotation, translation)
     fps = _get(path, data, "fps")
     if not isinstance(fps, (int, float, np.number)):
         raise InputError(f"{path}: fps is {fps!r}; it must be a number")
@@ -53,7 +55,7 @@ def _poses(path, rotation, translation):
     qpos = np.empty((len(rotation), skeleton.NQ))
     qpos[:, :3] = translation
     qpos[:, 3:7] = rotation[:, 0]
-    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_QPOS):
+    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_QPOS, strict=True):
         own = rotation[:, joint.body]
         if joint.dof == 3:
             qpos[:, 7 + start : 11 + start] = own
@@ -73,7 +75,8 @@ def _poses(path, rotation, translation):
 def _refuse_above(path, angle, tolerance, what):
     if np.any(angle > tolerance):
         frame = int(np.argmax(angle > tolerance))
-        raise InputError(f"{path}: {what} by {angle[frame]:.2f} rad in frame {frame}: not {_EXPECTED}; retarget the clip")
+        amount = f"by {angle[frame]:.2f} rad in frame {frame}"
+        raise InputError(f"{path}: {what} {amount}: not {_EXPECTED}; retarget the clip")
 
 
 def _check_skeleton(path, tree):

@@ -36,7 +36,7 @@ def refusal(path, **options):
     return message
 
 
-# ---- poselib ----------------------------------------------------------------------------------------------------------
+# ---- poselib -------------------------------------------------------------------------------------------------------
 
 
 def poselib(frames=6):
@@ -105,7 +105,7 @@ def test_quaternion_signs_are_continuous_whatever_the_file_holds(tmp_path):
     data = poselib()
     data["rotation"]["arr"][1::2] *= -1
     clip = read_clip(save(tmp_path / "a.npy", data))
-    for joint, start in zip(skeleton.JOINTS, 7 + skeleton.JOINT_QPOS):
+    for joint, start in zip(skeleton.JOINTS, 7 + skeleton.JOINT_QPOS, strict=True):
         if joint.dof == 3:
             part = clip.qpos[:, start : start + 4]
             assert np.all(np.sum(part[1:] * part[:-1], axis=1) > 0)
@@ -158,7 +158,13 @@ POSELIB_FAULTS = {
     "no fps": (lambda data: data.pop("fps"), "'fps' is missing"),
     "zero fps": (lambda data: change(data, "fps", value=0.0), "frame rate is 0"),
     "fps in words": (lambda data: change(data, "fps", value="fast"), "'fast'"),
-    "NaN": (lambda data: change(data, "rotation", "arr", (2, 4, 0), value=np.nan), "frame 2 holds NaN"),
+    "NaN": (lambda data: change(data, "rotation", "arr", (2, 1, 0), value=np.nan), "frame 2 holds nan"),
+    "NaN off a hinge's axis": (
+        lambda data: change(data, "rotation", "arr", (2, 4, 0), value=np.nan),
+        "frame 2 holds nan",
+    ),
+    "infinite place": (lambda data: change(data, "root_translation", "arr", (2, 0), value=np.inf), "frame 2 holds inf"),
+    "absurd place": (lambda data: change(data, "root_translation", "arr", (2, 0), value=1e200), "frame 2 holds 1e+200"),
     "zero quaternion": (lambda data: change(data, "rotation", "arr", (2, 1), value=0.0), "no unit quaternion"),
     "no rotation": (lambda data: data.pop("rotation"), "'rotation' is missing"),
     "a list for an array": (lambda data: change(data, "rotation", "arr", value=[1.0]), "not an array"),
@@ -245,7 +251,7 @@ def test_a_program_deep_inside_a_sound_clip_is_refused_and_not_run(tmp_path):
 
 @pytest.mark.parametrize(
     "function",
-    [getattr, __import__, np.load, np.frombuffer, np.array, np.lib.format.open_memmap, pickle.loads, OrderedDict.fromkeys],
+    [getattr, __import__, np.load, np.frombuffer, np.array, pickle.loads, OrderedDict.fromkeys],
 )
 def test_only_the_few_names_of_a_clip_are_allowed(tmp_path, function):
     assert "refused without running it" in refusal(save(tmp_path / "a.npy", Call(function, "x")))
@@ -261,7 +267,7 @@ def test_an_object_array_made_of_raw_bytes_is_not_turned_into_pointers(tmp_path)
     refusal(save_pickle(tmp_path / "a.npy", program))
 
 
-# ---- DeepMimic --------------------------------------------------------------------------------------------------------
+# ---- DeepMimic -----------------------------------------------------------------------------------------------------
 
 
 def deepmimic(frames=8):
@@ -291,12 +297,14 @@ def test_deepmimic_axes_become_ours(tmp_path):
     clip = read_clip(save_json(tmp_path / "walk.txt", data))
     np.testing.assert_allclose(clip.qpos[-1, :3], [1, -0.25, 0.88], atol=1e-12)
     np.testing.assert_allclose(rotations.heading(clip.qpos[:, 3:7]), 0.6, atol=1e-12)
-    joints = dict(zip(skeleton.JOINT_NAMES, skeleton.JOINT_DOF))
+    joints = dict(zip(skeleton.JOINT_NAMES, skeleton.JOINT_DOF, strict=True))
     hinges = [clip.joints[0, joints[f"{side}_{joint}"]] for joint in ("knee", "elbow") for side in ("right", "left")]
     np.testing.assert_allclose(hinges, [0.5, 0.7, -0.9, -1.1], atol=1e-12)
 
 
-@pytest.mark.parametrize(("loop", "asked", "looping"), [("wrap", None, True), ("none", None, False), ("none", True, True)])
+@pytest.mark.parametrize(
+    ("loop", "asked", "looping"), [("wrap", None, True), ("none", None, False), ("none", True, True)]
+)
 def test_looping_is_the_files_unless_the_caller_says_otherwise(tmp_path, loop, asked, looping):
     path = save_json(tmp_path / "walk.txt", deepmimic() | {"Loop": loop})
     assert read_clip(path, looping=asked).looping is looping
@@ -314,7 +322,7 @@ DEEPMIMIC_FAULTS = {
     "ragged rows": (lambda data: data["Frames"][2].pop(), "not rows of 44"),
     "another figure": (lambda data: change(data, "Frames", value=[row[:40] for row in data["Frames"]]), "40 numbers"),
     "words": (cell(2, 5, "x"), "not rows of 44"),
-    "NaN": (cell(2, 5, float("nan")), "frame 2 holds NaN"),
+    "NaN": (cell(2, 5, float("nan")), "frame 2 holds nan"),
     "zero durations": (lambda data: [row.__setitem__(0, 0.0) for row in data["Frames"]], "must be positive"),
     "uneven durations": (cell(3, 0, 0.05), "frame 3 lasts 0.05 s"),
     "no unit quaternion": (cell(3, 8, 7.0), "abdomen is no unit quaternion"),
@@ -336,7 +344,7 @@ def test_text_that_is_no_motion_is_refused(tmp_path, content):
     refusal(tmp_path / "walk.txt")
 
 
-# ---- cycles -----------------------------------------------------------------------------------------------------------
+# ---- cycles --------------------------------------------------------------------------------------------------------
 
 
 def almost_cyclic(gap, turn=0.0):
@@ -377,7 +385,7 @@ def test_a_clip_whose_ends_are_two_poses_cannot_loop():
         poses.make_clip("file", "strike", almost_cyclic(1.5), 30.0, looping=True)
 
 
-# ---- our own ----------------------------------------------------------------------------------------------------------
+# ---- our own -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("looping", [False, True])
@@ -436,7 +444,7 @@ NPZ_FAULTS = {
     "words": (lambda fields: fields.update(root_position=np.full((31, 3), "x")), "root_position"),
     "two rates": (lambda fields: fields.update(fps=np.ones(2)), "'fps' is not one number"),
     "zero fps": (lambda fields: fields.update(fps=np.array(0.0)), "frame rate is 0"),
-    "NaN": (lambda fields: fields["joints"].__setitem__((7, 0), np.nan), "frame 7 holds NaN"),
+    "NaN": (lambda fields: fields["joints"].__setitem__((7, 0), np.nan), "frame 7 holds nan"),
     "pickled objects": (lambda fields: fields.update(joints=np.array([{}], dtype=object)), "not a readable npz"),
     "one frame": (
         lambda fields: fields.update({key: fields[key][:1] for key in ("root_position", "root_quaternion", "joints")}),
@@ -471,7 +479,7 @@ def test_a_plain_array_named_npz_is_refused(tmp_path):
     refusal(tmp_path / "a.npz")
 
 
-# ---- any file ---------------------------------------------------------------------------------------------------------
+# ---- any file ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".txt", ".npz"])
@@ -506,10 +514,13 @@ def test_another_kind_of_file_is_refused(tmp_path):
     assert ".npy, .txt, .npz" in refusal(tmp_path / "a.bvh")
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
-def test_a_file_without_permission_is_refused(tmp_path):
+def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
     path = save(tmp_path / "a.npy", poselib())
-    path.chmod(0)
+
+    def locked(*_, **__):  # a file's mode does not stop root, who may run the tests
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("builtins.open", locked)
     assert "permissions" in refusal(path)
 
 
@@ -519,15 +530,16 @@ def test_noise_is_refused(tmp_path, suffix):
     refusal(tmp_path / f"a{suffix}")
 
 
-# ---- the real clips ---------------------------------------------------------------------------------------------------
+# ---- the real clips ------------------------------------------------------------------------------------------------
 
 
 @real
-@pytest.mark.parametrize("path", sorted(MOTIONS.glob("*/*[!E].[nt][px][yt]")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted([*REALLUSION.glob("*.npy"), *DEEPMIMIC.glob("*.txt")]), ids=lambda path: path.stem
+)
 def test_every_real_clip_is_read_as_an_upright_figure(path):
-    if path.name == "README.txt":
-        pytest.skip("not a clip")
     clip = read_clip(path)
+    assert clip.frames > 20
     position, _ = clip.bodies
     feet = position[:, skeleton.FOOT_BODIES, 2].min(axis=1)
     assert np.all(position[:, skeleton.BODY_INDEX["head"], 2] > feet + 0.5)
@@ -562,8 +574,8 @@ def test_a_real_clip_has_the_places_that_its_file_says():
 def test_real_cycles_already_meet_at_the_seam(name):
     path = REALLUSION / f"RL_Avatar_{name}_Motion.npy"
     as_is, closed = read_clip(path), read_clip(path, looping=True)
-    difference = rotations.angle_between(skeleton.joint_quaternions(as_is.qpos), skeleton.joint_quaternions(closed.qpos))
-    assert difference.max() < 0.02
+    before, after = (skeleton.joint_quaternions(clip.qpos) for clip in (as_is, closed))
+    assert rotations.angle_between(before, after).max() < 0.02
 
 
 @real

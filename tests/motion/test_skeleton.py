@@ -11,7 +11,7 @@ def random_joints(count, largest=3.0, seed=0):
     """(count, 31) coordinates, exponential maps shorter than `largest`."""
     generator = np.random.default_rng(seed)
     joints = generator.normal(size=(count, skeleton.NUM_DOF))
-    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF):
+    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF, strict=True):
         part = joints[:, start : start + joint.dof]
         part *= generator.uniform(0, largest, (count, 1)) / np.linalg.norm(part, axis=1, keepdims=True)
     return joints
@@ -33,7 +33,7 @@ def matrices(qpos):
             local[:3, 3] = qpos[:3]
         else:
             local[:3, 3] = body.offset
-            for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_QPOS):
+            for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_QPOS, strict=True):
                 if joint.body == i and joint.dof == 3:
                     local[:3, :3] = Rotation.from_quat(qpos[7 + start : 11 + start], scalar_first=True).as_matrix()
                 elif joint.body == i:
@@ -50,7 +50,7 @@ def test_the_figure_has_the_papers_degrees_of_freedom():
 
 
 def test_joint_weights_are_those_of_equation_7():
-    weights = dict(zip(skeleton.JOINT_NAMES, skeleton.JOINT_WEIGHTS))
+    weights = dict(zip(skeleton.JOINT_NAMES, skeleton.JOINT_WEIGHTS, strict=True))
     assert weights["abdomen"] == weights["left_hip"] == 3.375
     assert weights["neck"] == weights["right_knee"] == 2.25
     assert weights["left_elbow"] == weights["right_ankle"] == 1.5
@@ -78,7 +78,7 @@ def test_forward_kinematics_take_any_leading_dimensions():
 def test_the_straight_figure_stands_upright_on_its_feet():
     pose = skeleton.assemble_qpos(np.zeros(3), rotations.IDENTITY, np.zeros(31))
     position, _ = skeleton.forward_kinematics(pose)
-    place = dict(zip(skeleton.BODY_NAMES, position))
+    place = dict(zip(skeleton.BODY_NAMES, position, strict=True))
     np.testing.assert_allclose(place["left_foot"], [0, 0.084887, -0.831416], atol=1e-12)
     np.testing.assert_allclose(place["head"], [0, 0, 0.460045], atol=1e-12)
     assert place["left_hand"][1] > 0 > place["right_hand"][1]  # y is left
@@ -104,7 +104,7 @@ def test_velocities_of_a_steady_spin_are_its_rate_in_the_moving_frame(fps):
     poses = np.repeat(start[None], len(time), axis=0)
     poses[:, :3] += velocity[:3] * time
     poses[:, 3:7] = rotations.multiply(start[3:7], rotations.from_exponential_map(velocity[3:6] * time))
-    for joint, a, d in zip(skeleton.JOINTS, 7 + skeleton.JOINT_QPOS, 6 + skeleton.JOINT_DOF):
+    for joint, a, d in zip(skeleton.JOINTS, 7 + skeleton.JOINT_QPOS, 6 + skeleton.JOINT_DOF, strict=True):
         if joint.dof == 3:
             turned = rotations.from_exponential_map(velocity[d : d + 3] * time)
             poses[:, a : a + 4] = rotations.multiply(start[a : a + 4], turned)
