@@ -8,12 +8,21 @@ def log_probability(action, mean, sigma):
     return -((action - mean) ** 2).sum(dim=-1) / (2 * sigma**2)
 
 
-def policy_loss(mean, action, old_mean, advantage, sigma, clip):
-    """(clipped surrogate loss, mean KL divergence from the acting policy, share of clipped ratios)."""
-    ratio = torch.exp(log_probability(action, mean, sigma) - log_probability(action, old_mean, sigma))
-    loss = -torch.min(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
+def policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip):
+    """(clipped surrogate loss, mean KL divergence from the anchor, share of clipped ratios); means (n, 31).
+
+    acting_mean: of the policy that collected the action; anchor_mean: of the learner's policy when the update began.
+    With pipeline_depth = 0 the two are the same and this is PPO. With depth 1 the acting policy is one update older;
+    clipping around it would stop the gradient of samples that the last update has already moved, so the ratio is
+    clipped around the anchor and weighted by anchor / acting (decoupled PPO: Hilton et al., "Batch size-invariance for
+    policy optimization", 2022).
+    """
+    anchor = log_probability(action, anchor_mean, sigma)
+    weight = torch.exp(anchor - log_probability(action, acting_mean, sigma))
+    ratio = torch.exp(log_probability(action, mean, sigma) - anchor)
+    loss = -(weight * torch.min(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage)).mean()
     with torch.no_grad():
-        divergence = ((mean - old_mean) ** 2).sum(dim=-1).mean() / (2 * sigma**2)
+        divergence = ((mean - anchor_mean) ** 2).sum(dim=-1).mean() / (2 * sigma**2)
         clipped = ((ratio - 1).abs() > clip).float().mean()
     return loss, divergence, clipped
 

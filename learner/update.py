@@ -75,7 +75,9 @@ def update(state, chunks):
     state.returns.update(tensor(returns.reshape(-1, 1)))
     return_mean, return_scale = (x.float() for x in state.returns.mean_and_scale())
     wanted_value = (tensor(returns.reshape(-1)) - return_mean) * return_scale
-    action, old_mean = tensor(chunk.action.reshape(samples, -1)), tensor(chunk.mean.reshape(samples, -1))
+    action, acting_mean = tensor(chunk.action.reshape(samples, -1)), tensor(chunk.mean.reshape(samples, -1))
+    # with no lag the acting policy is the anchor, up to the last bits of another matrix product: take its own numbers
+    anchor_mean = acting_mean if chunk.version == state.updates else _no_grad(state.policy, inputs)
     advantage = tensor(advantage.reshape(-1))
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
 
@@ -91,8 +93,9 @@ def update(state, chunks):
             rows = tensor(rows)
             record = demonstrator.step()
             loss, divergence, clipped = ppo.policy_loss(
-                state.policy(inputs[rows]), action[rows], old_mean[rows], advantage[rows], sigma, config.ppo.clip
-            )
+                state.policy(inputs[rows]), action[rows], acting_mean[rows], anchor_mean[rows], advantage[rows],
+                sigma, config.ppo.clip,
+            )  # fmt: skip
             norm = _descend(loss, state.policy, state.policy_optimizer, config.ppo.max_grad_norm)
             value_loss = ((state.value(inputs[rows]).squeeze(-1) - wanted_value[rows]) ** 2).mean()
             _descend(value_loss, state.value, state.value_optimizer, config.ppo.max_grad_norm)
@@ -202,6 +205,11 @@ def _descend(loss, network, optimizer, max_norm):
     norm = torch.nn.utils.clip_grad_norm_(network.parameters(), max_norm)
     optimizer.step()
     return norm
+
+
+def _no_grad(network, inputs):
+    with torch.no_grad():
+        return network(inputs)
 
 
 def _generator(state, stream):

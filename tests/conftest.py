@@ -62,13 +62,16 @@ def real_clips():
 
 
 @pytest.fixture(scope="session")
-def clip_poses(machine, request):
-    """(qpos (n, 47), qvel (n, 37)) of frames of the built-in clips, and of the real ones where there are any."""
-    clips = [state.clip for state in machine.states]
-    if REAL.is_dir():
-        clips += request.getfixturevalue("real_clips")
-    rows = [np.linspace(0, clip.frames - 1, 4).astype(int) for clip in clips]
-    return tuple(np.concatenate([getattr(c, name)[r] for c, r in zip(clips, rows)]) for name in ("qpos", "qvel"))
+def all_clips(machine, request):
+    """The built-in clips of `motions`, and the real ones where there are any."""
+    return [state.clip for state in machine.states] + (request.getfixturevalue("real_clips") if REAL.is_dir() else [])
+
+
+@pytest.fixture(scope="session")
+def clip_poses(all_clips):
+    """(qpos (n, 47), qvel (n, 37)) of frames of `all_clips`."""
+    rows = [np.linspace(0, clip.frames - 1, 4).astype(int) for clip in all_clips]
+    return tuple(np.concatenate([getattr(c, name)[r] for c, r in zip(all_clips, rows)]) for name in ("qpos", "qvel"))
 
 
 @pytest.fixture(scope="session")
@@ -159,7 +162,7 @@ def make_config():
 def make_policy():
     """A function of (seed, ...) giving a `workers.types.Policy` with random weights."""
 
-    def make(seed=0, hidden=(16,), gain=0.1, log_sigma=-2.0, version=0):
+    def make(seed=0, hidden=(16,), gain=0.1, log_sigma=-1.0, version=0):
         generator = np.random.default_rng(seed)
         sizes = [282, *hidden, 31]
         weights = [generator.normal(size=(a, b)) / np.sqrt(a) for a, b in zip(sizes, sizes[1:])]
@@ -189,10 +192,10 @@ def easy():
 def trajectories(library, make_policy):
     """Real chunks, in which episodes end in every way: 6 chunks of 24 environments and 8 steps in sequence.
 
-    Time is up after 11 steps, so that many episodes begin and end within a chunk. states[k] is the worker's state before
+    Time is up after 16 steps, so that many episodes begin and end within a chunk. states[k] is the worker's state before
     chunks[k], states[6] after the last.
     """
-    config = _config({"task.max_steps": 11})
+    config = _config({"task.max_steps": 16})
     rollout = Rollout(config, library, 24, 8, seed=5)
     states, chunks = [rollout.initial_state(0)], []
     for k in range(6):

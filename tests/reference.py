@@ -224,12 +224,13 @@ def d_kp(qpos, qvel, target_qpos, target_qvel, key_body_frame="common"):
     return sum(np.linalg.norm(a[e] - b[e]) for e in range(6))
 
 
-def d_q(qpos, qvel, target_qpos, target_qvel):
-    return weighted_mean(joint_distance(qpos, target_qpos), [name for name, _, _ in JOINTS])
+def d_q(distance):
+    """distance: `joint_distance` of the pose and its target."""
+    return weighted_mean(distance, [name for name, _, _ in JOINTS])
 
 
-def d_lq(qpos, qvel, target_qpos, target_qvel):
-    return weighted_mean(joint_distance(qpos, target_qpos), LOWER)
+def d_lq(distance):
+    return weighted_mean(distance, LOWER)
 
 
 def d_qv(qpos, qvel, target_qpos, target_qvel):
@@ -247,8 +248,8 @@ def deviations(qpos, qvel, target_qpos, target_qvel, key_body_frame="common"):
         rv=d_rv(*poses),
         rq=d_rq(*poses),
         kp=d_kp(*poses, key_body_frame),
-        q=d_q(*poses),
-        lq=d_lq(*poses),
+        q=d_q(distance),
+        lq=d_lq(distance),
         qv=d_qv(*poses),
         u={name: distance[name] for name in UPPER},
     )

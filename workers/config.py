@@ -15,6 +15,9 @@ class RewardConfig:
     """Double negative improvements of the upper body (S of Eq. 8). False: the row No URP."""
     tremble: bool = True
     """Penalise joint velocities that change sign (Eq. 12). False: the row No TR."""
+    tremble_ramp: int = 0
+    """The tremble term grows to its full weight over this many tightenings of the curriculum. 0, the paper: full from
+    the start, which at loose thresholds makes an early fall cheaper than a long way to the target."""
     key_body_frame: str = "common"
     """Where key bodies are compared: `common` (both poses in the frame of p_t) or `own` (each in its own)."""
     failure: float = -3.0

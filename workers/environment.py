@@ -10,7 +10,7 @@ from workers.humanoid import build_model
 from workers.kinematics import NUM_BODIES, NUM_DOF, NUM_JOINTS, NQ, NV, forward_kinematics, forward_kinematics_batch
 from workers.observation import OBSERVATION_SIZE, observe_batch
 from workers.planner import begin, draw_task, stays
-from workers.reward import deviate, deviate_batch, reward, sign_changes
+from workers.reward import deviate, deviate_batch, reward, sign_changes, tremble_share
 from workers.termination import fall_mask, terminate
 from workers.types import DEVIATIONS, FELL, NUM_PARTS, REACHED, WorkerState
 
@@ -147,7 +147,7 @@ class Environment:
             self.target_qpos, self.target_qvel, self.target_bodies,
             (thresholds.root_position, thresholds.key_bodies, thresholds.joint_rotation, thresholds.heading),
             self._mask, self.config.task.max_steps, self._own_frame,
-            switches.upper_body_penalty, switches.tremble, switches.failure,
+            switches.upper_body_penalty, tremble_share(switches, thresholds.tightenings), switches.failure,
             self.deviations, self.joints, self.steps, self.trembles, self.parts, self.end, self.fell_on,
         )  # fmt: skip
         self.totals[rows] += self.parts[rows]

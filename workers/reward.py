@@ -119,12 +119,20 @@ def sign_changes(before, after):
     return count
 
 
+def tremble_share(config, tightenings):
+    """Share (0 to 1) of the tremble term's weight after so many tightenings; config: `workers.config.RewardConfig`."""
+    if not config.tremble:
+        return 0.0
+    return min(1.0, tightenings / config.tremble_ramp) if config.tremble_ramp else 1.0
+
+
 @njit(cache=True)
 def reward(before, after, joints_before, joints_after, changes, trembles, end, penalty, tremble, failure, parts):
     """The parts of r_t (Eq. 13) into parts (7,), in `REWARD_PARTS` order; r_t is their sum.
 
     before, after: deviations (7,) of the last and this frame; joints_*: L1 norms (13,). changes: O_t; trembles: C_t,
-    this frame's changes included. end: how the episode ended with this frame. penalty, tremble: the two switches.
+    this frame's changes included. end: how the episode ended with this frame. penalty: the switch of Eq. 8. tremble:
+    share of the tremble term's weight, 0 to 1.
     """
     parts[_ROOT_POSITION] = _W_ROOT_POSITION * (before[RP] - after[RP])
     parts[_ROOT_VELOCITY] = _W_ROOT_VELOCITY * (before[RV] - after[RV])
@@ -137,4 +145,4 @@ def reward(before, after, joints_before, joints_after, changes, trembles, end, p
         parts[END] = failure
     else:
         parts[END] = 0.0
-    parts[TREMBLE] = _W_TREMBLE * changes if tremble and trembles > _TREMBLE_THRESHOLD else 0.0
+    parts[TREMBLE] = tremble * _W_TREMBLE * changes if trembles > _TREMBLE_THRESHOLD else 0.0

@@ -1,0 +1,119 @@
+"""One run from start to end, wherever it lives: train (or continue), evaluate, log to MLflow."""
+
+import re
+import time
+import traceback
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from learner import checkpoint
+from motion.errors import InputError
+from orchestrator import folder as run_folder
+from orchestrator.evaluate import evaluate_run
+from orchestrator.mlflow_store import RunSpec
+from orchestrator.plan import run_name
+from orchestrator.run import train
+from orchestrator.settings import flatten, load
+from orchestrator.tracking import NoTracker, Tracker, commit_tag
+from orchestrator.validate import shown
+
+STALE_LOCK = 60.0  # seconds that a killed sweep's processes may take to let go of a run's folder
+TRAINING, EVALUATING = "training", "evaluating"
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Where runs are logged. uri: None if nowhere. experiment: name. parent: the sweep's `RunSpec`, if there is one."""
+
+    uri: str | None
+    experiment: str
+    parent: RunSpec | None = None
+
+    def start(self, spec, warn=lambda line: None):
+        """A `Tracker` of a run."""
+        return NoTracker() if self.uri is None else Tracker(self.uri, self.experiment, spec, warn)
+
+
+def run_spec(config, folder, parent=None):
+    """How a run of `config` shows in MLflow: its parameters are the whole configuration but addresses and folders."""
+    values = asdict(config)
+    for own in ("out", "tracking"):
+        del values[own]
+    params = {re.sub(r"[^\w\-. /:]", "_", key): shown(value) for key, value in flatten(values)}
+    tags = {"row": config.row, "seed": str(config.seed), "scale": config.scale, "motions": config.motions.name}
+    return RunSpec(Path(folder), run_name(config.row, config.seed), {**tags, **commit_tag()}, params, parent)
+
+
+def execute(config, folder, tracking, report, warn=lambda line: None):
+    """Do all that is left of a run in its prepared folder; returns evaluation.json's content.
+
+    report: called with every iteration's metrics, and with {"phase": EVALUATING} in between. An error leaves error.txt.
+    """
+    folder = Path(folder)
+    with run_folder.exclusive(folder, STALE_LOCK):
+        tracker = tracking.start(run_spec(config, folder, tracking.parent), warn)
+        try:
+            train(config, folder, lambda metrics: (tracker.wake(), report(metrics)))
+            report({"phase": EVALUATING})
+            evaluation = evaluate_run(folder, config)
+        except BaseException as error:
+            stopped = not isinstance(error, Exception)
+            if not stopped:
+                (folder / "error.txt").write_text(traceback.format_exc())
+            tracker.finish("KILLED" if stopped else "FAILED", timeout=2.0 if stopped else 30.0)
+            raise
+        (folder / "error.txt").unlink(missing_ok=True)
+        files = [run_folder.config_path(folder), run_folder.evaluation_path(folder)]
+        files += checkpoint.paths(folder / "checkpoints")[-1:]
+        if not tracker.finish("FINISHED", evaluation_metrics(evaluation), files):
+            warn(f"{folder.name}: MLflow did not take everything; {folder / 'metrics.jsonl'} has all metrics")
+        return evaluation
+
+
+def evaluation_metrics(evaluation):
+    """The table's columns under MLflow's names: eval/FRPD ... at the final accuracy, trained/FRPD ... as far as trained."""
+    names = {"eval": "metrics", "trained": "trained"}
+    return {f"{prefix}/{key}": value for prefix, part in names.items() for key, value in evaluation[part].items()}
+
+
+def reason(error):
+    """An exception as one line for the terminal and the table: the cause, not Ray's wrapping."""
+    cause = getattr(error, "cause", None) or error
+    lines = [line.strip() for line in str(cause).strip().splitlines() if line.strip()]
+    text = lines[0] if lines else "no message"
+    return f"{type(cause).__name__}: {text}"[:300]
+
+
+class Throttle:
+    """Passes on a run's reports, at most one in `interval` seconds; always the first, and the last before a new phase.
+
+    What a report costs must not slow the run, and the clock decides over nothing else.
+    """
+
+    def __init__(self, report, interval=1.0):
+        self._report, self._interval, self._last, self._held = report, interval, None, None
+
+    def __call__(self, message):
+        new_phase = "phase" in message
+        if new_phase and self._held is not None:
+            self._report(self._held)
+        now = time.monotonic()
+        if new_phase or self._last is None or now - self._last >= self._interval:
+            self._report(message)
+            self._last, self._held = time.monotonic(), None
+        else:
+            self._held = message
+
+
+def trainable(job, tracking):
+    """Ray Tune's function: one run of a sweep. job: {"job": {name, folder}}; the configuration is in the folder."""
+    from ray import tune
+
+    folder = Path(job["job"]["folder"])
+    try:
+        if not folder.is_dir():
+            raise InputError(f"{folder} is not on this machine; out= must be on storage that all machines share")
+        execute(load(run_folder.config_path(folder)), folder, tracking, Throttle(tune.report))
+    except Exception as error:
+        tune.report({"failure": reason(error)})
+        raise

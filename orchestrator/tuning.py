@@ -1,0 +1,101 @@
+"""A sweep's runs as trials of Ray Tune, which places them: as many at a time as the cluster holds."""
+
+import logging
+import os
+import shutil
+
+from orchestrator import folder as run_folder
+from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING
+
+FOLDER = ".tune"  # Ray Tune's own files, below the sweep's folder; nothing of ours is read from there
+
+# What the terminal needs of an iteration's metrics
+SHOWN = (
+    "iteration",
+    "return/mean",
+    "achievement",
+    "thresholds/root_position",
+    "thresholds/key_bodies",
+    "thresholds/joint_rotation",
+    "thresholds/tightenings",
+    "perf/samples_per_second",
+)
+
+
+def prepare_environment():
+    """Make Ray and Tune quiet. To be called before they are imported and before their processes inherit this."""
+    os.environ |= {
+        "RAY_AIR_NEW_OUTPUT": "0",
+        "RAY_CHDIR_TO_TRIAL_DIR": "0",
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",
+        "TUNE_DISABLE_SIGINT_HANDLER": "1",
+        "TUNE_PRINT_ALL_TRIAL_ERRORS": "0",
+        "TUNE_WARN_INSUFFICENT_RESOURCE_THRESHOLD_S": "86400",  # checked before; queued rows wait as long as it takes
+    }
+
+
+def tune_runs(out, runs, tracking, progress):
+    """Run `plan.Run`s, whose folders are prepared, and show their `Progress`; returns {run name: reason} of failures.
+
+    out: the sweep's folder. tracking: `trial.Tracking`. Bundles are those of the first run: rows differ in no size.
+    """
+    from ray import tune
+
+    from orchestrator import cluster
+    from orchestrator.trial import trainable
+
+    logging.getLogger("ray.tune").setLevel(logging.CRITICAL)
+    shutil.rmtree(out / FOLDER, ignore_errors=True)
+    watch = make_watch(tune.Callback, progress)
+    jobs = [{"name": run.name, "folder": str(run.folder)} for run in runs]
+    # Tune writes its param_space to disk, but not parameters: an address may hold a password
+    function = tune.with_parameters(trainable, tracking=tracking)
+    tune.Tuner(
+        tune.with_resources(function, tune.PlacementGroupFactory([{}, *cluster.bundles(runs[0].config)])),
+        param_space={"job": tune.grid_search(jobs)},
+        tune_config=tune.TuneConfig(trial_name_creator=name_of, trial_dirname_creator=name_of),
+        run_config=tune.RunConfig(name=FOLDER, storage_path=str(out), verbose=0, callbacks=[watch]),
+    ).fit()
+    for run in runs:
+        if run.name not in watch.failures and not run_folder.evaluation_path(run.folder).exists():
+            watch.failures[run.name] = "ended without an evaluation"
+    return watch.failures
+
+
+def name_of(trial):
+    """The run's name of a Tune trial."""
+    return trial.config["job"]["name"]
+
+
+def make_watch(base, progress):
+    """A Tune callback (a subclass of `base`) that passes on to `progress` what trials report, and keeps failures."""
+
+    class Watch(base):
+        def __init__(self):
+            self.failures, self._reported = {}, {}
+
+        def __reduce__(self):
+            return base, ()  # Tune stores its callbacks on disk; this one is of no use there
+
+        def on_trial_start(self, iteration, trials, trial, **info):
+            progress.state(name_of(trial), RUNNING)
+
+        def on_trial_result(self, iteration, trials, trial, result, **info):
+            name = name_of(trial)
+            if "failure" in result:
+                self._reported[name] = result["failure"]
+            elif "phase" in result:
+                progress.state(name, EVALUATING)
+            elif "iteration" in result:
+                progress.update(name, {key: result.get(key) for key in SHOWN})
+
+        def on_trial_complete(self, iteration, trials, trial, **info):
+            progress.state(name_of(trial), DONE)
+
+        def on_trial_error(self, iteration, trials, trial, **info):
+            name = name_of(trial)
+            self.failures[name] = self._reported.get(name, "its process died without a word (out of memory?)")
+            progress.state(name, FAILED, self.failures[name])
+
+    return Watch()
