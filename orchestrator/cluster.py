@@ -16,7 +16,7 @@ CHUNKS_IN_FLIGHT = 8
 def connect(samples_per_iteration):
     """Join the cluster of RAY_ADDRESS (set for jobs of `ray job submit`), else start one on this machine, quietly.
 
-    samples_per_iteration: size of the chunks that the object store must hold. InputError if the cluster does not answer.
+    samples_per_iteration: size of the chunks that the object store must hold. InputError if no cluster answers.
     """
     address = os.environ.get("RAY_ADDRESS")
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": True}
@@ -62,7 +62,7 @@ def bundles(config):
 
 
 def placeable(wanted, nodes):
-    """Whether resource dicts `wanted` fit on `nodes` (each a dict) that have nothing else to do: first fit, largest first."""
+    """Whether resource dicts `wanted` fit on idle `nodes` (each a dict), placed largest first where they fit first."""
     free = [dict(node) for node in nodes]
     for bundle in sorted(wanted, key=lambda b: (b.get("GPU", 0), b.get("CPU", 0)), reverse=True):
         home = next((node for node in free if all(node.get(k, 0) >= v for k, v in bundle.items())), None)
@@ -84,10 +84,11 @@ def check_placeable(config, nodes):
     if placeable(wanted, nodes):
         return
     if config.runtime == "local":
-        needs = "runtime=local"
+        needs, remedy = "runtime=local", "add a machine"
     else:
-        needs = f"learner_threads={config.learner_threads}, num_workers={config.num_workers} x worker_threads={config.worker_threads}"
-    remedy = "lower num_workers or worker_threads, or use runtime=local" if config.runtime == "ray" else "use device=cpu"
+        workers = f"num_workers={config.num_workers} x worker_threads={config.worker_threads}"
+        needs = f"learner_threads={config.learner_threads}, {workers}"
+        remedy = "lower num_workers or worker_threads, or use runtime=local"
     if config.device == "cuda" and not any(node.get("GPU", 0) for node in nodes):
         remedy = "use device=cpu"
     raise InputError(f"a run asks for {amount(wanted)} ({needs}), the cluster has {amount(nodes)} in all: {remedy}")

@@ -66,9 +66,6 @@ class EvaluationConfig:
     """Log of the actions' standard deviation."""
     robustness_log_sigmas: list[float] = field(default_factory=lambda: [-4.1, -3.7, -3.3, -2.9, -2.5])
     """Candidates for MS, the largest noise at which every task is reached."""
-    thresholds: str = "final"
-    """Reach criterion: `final` (the final accuracy, as the paper's table) or `trained` (where the run's own
-    curriculum stood at its end)."""
 
 
 @dataclass

@@ -10,35 +10,27 @@ from motion.errors import InputError
 
 GRACE = 8.0  # seconds that leaving may take after a signal
 
-
-class Stopped(BaseException):
-    """A signal asked to leave. Not an Exception, so that nobody takes it for a failure."""
-
-    def __init__(self, number):
-        self.number = number
+_caught = []  # numbers of the signals so far
 
 
 def catch_signals():
-    """Raise `Stopped` in the main thread on SIGINT and SIGTERM; a second one, or GRACE seconds, end the process.
+    """On SIGINT and SIGTERM raise KeyboardInterrupt in the main thread; a second one, or GRACE seconds, end it all.
 
-    To be called again after ray.init, which takes SIGTERM for itself.
+    To be called again after ray.init, which takes SIGTERM for itself. It must be KeyboardInterrupt: Ray's compiled code
+    passes on no other exception of a signal handler.
     """
 
     def handler(number, frame):
-        catch_signals_hard()
+        _caught.append(number)
+        if len(_caught) > 1:
+            os._exit(128 + number)
         timer = threading.Timer(GRACE, os._exit, [128 + number])
         timer.daemon = True
         timer.start()
-        raise Stopped(number)
+        raise KeyboardInterrupt
 
     signal.signal(signal.SIGINT, handler)
     signal.signal(signal.SIGTERM, handler)
-
-
-def catch_signals_hard():
-    """From now on a signal ends the process at once."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda n, frame: os._exit(128 + n))
 
 
 def run_command(main, doc, arguments):
@@ -52,8 +44,7 @@ def run_command(main, doc, arguments):
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except Stopped as stop:
+    except KeyboardInterrupt:
         command = shlex.join(["python", "-m", sys.modules["__main__"].__spec__.name, *arguments])
         print(f"stopped; the same command continues: {command}", file=sys.stderr)
-        return 128 + stop.number
-
+        return 128 + (_caught[0] if _caught else signal.SIGINT)

@@ -6,9 +6,11 @@ import fcntl
 import json
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from motion.errors import InputError
+from orchestrator.mlflow_store import without_password
 from orchestrator.settings import flatten, load, save
 from orchestrator.validate import shown
 
@@ -59,7 +61,7 @@ def state_of(folder, config):
     done = iterations_done(folder)
     if any(key.startswith(BUDGET) for key, _, _ in changed) and config.total_iterations < done:
         raise InputError(
-            f"{folder}: holds a run of {done} iterations, more than the {config.total_iterations} that the budget allows; "
+            f"{folder}: holds a run of {done} iterations, more than the {config.total_iterations} of the budget; "
             "raise budget.samples or budget.iterations, choose another out= or delete this folder"
         )
     return FINISHED if evaluation_path(folder).exists() and not changed else UNFINISHED
@@ -81,12 +83,18 @@ def last_metrics(folder):
 
 
 def prepare(folder, config):
-    """Make an unfinished run's folder ready: its config.yaml is `config`, and no evaluation of an earlier budget stays."""
+    """Make an unfinished run's folder ready: config.yaml is `config`, and no evaluation of an earlier budget stays."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     # in this order, so that a kill in between never leaves an old evaluation beside a new configuration
     evaluation_path(folder).unlink(missing_ok=True)
-    save(config, config_path(folder))
+    save(without_secrets(config), config_path(folder))
+
+
+def without_secrets(config):
+    """The configuration as it may be stored and logged: without a password in the tracking address."""
+    uri = config.tracking.uri
+    return replace(config, tracking=replace(config.tracking, uri=uri and without_password(uri)))
 
 
 def check_writable(folder):

@@ -61,7 +61,7 @@ def field_docs(cls):
             continue
         source = textwrap.dedent(inspect.getsource(base))
         lines, body = source.splitlines(), ast.parse(source).body[0].body
-        for node, below in zip(body, [*body[1:], None]):
+        for node, below in zip(body, [*body[1:], None], strict=True):
             if not isinstance(node, ast.AnnAssign):
                 continue
             if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):

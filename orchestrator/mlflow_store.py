@@ -21,7 +21,7 @@ ID_TAG = "segue.id"  # finds a run again whose creation was not noted before a c
 
 @dataclass(frozen=True)
 class RunSpec:
-    """A run in MLflow. folder: keeps its ids in tracking.json. tags, params: text by name. parent: the sweep's RunSpec."""
+    """A run in MLflow. folder: keeps its ids in tracking.json. tags, params: text by name. parent: the sweep's."""
 
     folder: Path
     name: str

@@ -53,7 +53,7 @@ def read_plan(path, command):
     for key in content:
         if key not in SWEEP_KEYS:
             raise InputError(
-                f"sweep file {path}: unknown key {key!r}{suggestion(key, SWEEP_KEYS)}; it may have {', '.join(SWEEP_KEYS)}"
+                f"sweep file {path}: unknown key {key!r}{suggestion(key, SWEEP_KEYS)}; keys are {', '.join(SWEEP_KEYS)}"
             )
     name = content.get("name", Path(path).stem)
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name):
@@ -113,9 +113,8 @@ def chosen_rows(value, rows, origin):
         raise InputError(f"{origin}: rows={shown(value)} must be a list of rows such as [{','.join(rows)}]")
     for name in names:
         if name not in rows:
-            raise InputError(
-                f"{origin}: rows={shown(value)}: no row {name!r}{suggestion(str(name), rows)}; rows are {', '.join(rows)}"
-            )
+            hint = suggestion(str(name), rows)
+            raise InputError(f"{origin}: rows={shown(value)}: no row {name!r}{hint}; rows are {', '.join(rows)}")
     return [row for row in rows if row in names]
 
 

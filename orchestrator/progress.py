@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass, field
 
 WAITING, RUNNING, EVALUATING, DONE, FAILED = "waiting", "training", "evaluating", "done", "failed"
+THRESHOLDS = ("root_position", "key_bodies", "joint_rotation")
 REDRAW = 0.5  # seconds between updates of the block
 LINE_EVERY = 10.0  # seconds between plain lines of a run
 MEASURED_ITERATIONS, MEASURED_SECONDS = 5, 5.0  # of training before the time left is believed
@@ -14,7 +15,7 @@ MEASURED_ITERATIONS, MEASURED_SECONDS = 5, 5.0  # of training before the time le
 
 @dataclass
 class Row:
-    """What is known of one run. total: iterations in all. before: iterations that were done when this command started."""
+    """What is known of one run. total: iterations in all. before: iterations done when this command started."""
 
     name: str
     total: int
@@ -34,7 +35,7 @@ class Row:
         """Iterations per second since the first report, None before it can be believed."""
         if self.first is None:
             return None
-        iterations, seconds = (b - a for a, b in zip(self.first, self.latest))
+        iterations, seconds = (b - a for a, b in zip(self.first, self.latest, strict=True))
         return iterations / seconds if iterations >= MEASURED_ITERATIONS and seconds >= MEASURED_SECONDS else None
 
 
@@ -105,7 +106,7 @@ class Progress:
             parts.append(f"{samples(m.get('perf/samples_per_second'))}/s")
             parts.append(f"return {number(m.get('return/mean'), '6.2f')}")
             parts.append(f"reached {number(m.get('achievement'), '4.0%')}")
-            limits = "/".join(number(m.get(f"thresholds/{k}"), ".3g") for k in ("root_position", "key_bodies", "joint_rotation"))
+            limits = "/".join(number(m.get(f"thresholds/{name}"), ".3g") for name in THRESHOLDS)
             parts.append(f"thresholds {limits} ({m.get('thresholds/tightenings', 0)} cuts)")
         if row.state == RUNNING and (rate := row.rate()):
             parts.append(f"{duration((row.total - row.iteration) / rate)} left")

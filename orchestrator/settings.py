@@ -1,9 +1,9 @@
 """Build the `Config` of a run from files and command lines, and keep it in a run's folder.
 
-Order, later wins: defaults of the dataclasses, configs/scale/SCALE.yaml, configs/motions/MOTIONS.yaml, then the layers in
-the order given (a sweep's base, its row, the command line). `scale=` and `motions=` choose the two files, the last layer
-that names them wins, and both files are applied before every other key wherever the two stand. A layer that sets one key
-of `budget` replaces the budget of the layers below it as a whole: budget.iterations=5 is not cut short by a scale's samples.
+Order, later wins: defaults of the dataclasses, configs/scale/SCALE.yaml, configs/motions/MOTIONS.yaml, then the layers
+in the order given (a sweep's base, its row, the command line). `scale=` and `motions=` choose the two files, the last
+layer that names them wins, and both files are applied before every other key wherever the two stand. A layer that sets
+a key of `budget` replaces the budget of the layers below it: budget.iterations=5 is not cut short by a scale's samples.
 
     python -m orchestrator.settings          print every key with its default and meaning
 """
@@ -56,7 +56,7 @@ def command_line(arguments):
 
 
 def read_yaml(path, what):
-    """The mapping in a YAML file. `what` names the file's role in errors. InputError unless it is a readable mapping."""
+    """The mapping in a YAML file. `what` names the file's role in errors. InputError unless it is one."""
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
@@ -68,14 +68,15 @@ def read_yaml(path, what):
     except (yaml.YAMLError, OmegaConfBaseException) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}" if mark else ""
-        raise InputError(f"{what} {path}: not YAML{where}: {getattr(error, 'problem', None) or first_line(error)}") from error
+        problem = getattr(error, "problem", None) or first_line(error)
+        raise InputError(f"{what} {path}: not YAML{where}: {problem}") from error
     if not isinstance(content, dict):
         raise InputError(f"{what} {path}: must be a mapping of keys to values")
     return content
 
 
 def build(layers):
-    """The checked `Config` of `layers`, lowest precedence first. Relative paths become absolute. InputError if wrong."""
+    """The checked `Config` of `layers`, lowest precedence first, with absolute paths. InputError if wrong."""
     files, stack = {"scale": (Config.scale, "default"), "motions": ("builtin", "default")}, []
     for layer in layers:
         entries = [(key, value, layer.origin) for key, value in flatten(layer.values)]
@@ -122,7 +123,8 @@ def choose(kind, name, origin):
             return Path(name)
         raise InputError(f"{origin}: motions={name}: no such file")
     other = " or the path of a YAML file" if kind == "motions" else ""
-    raise InputError(f"{origin}: {kind}={name} is not known; it is one of {', '.join(names)}{other}{suggestion(name, names)}")
+    hint = suggestion(name, names)
+    raise InputError(f"{origin}: {kind}={name} is not known; it is one of {', '.join(names)}{other}{hint}")
 
 
 def flatten(values, prefix=""):
@@ -135,7 +137,7 @@ def flatten(values, prefix=""):
 
 
 def nested(entries):
-    """Nested mapping of (key, value, origin) entries, later ones winning. InputError for unknown keys and wrong types."""
+    """Nested mapping of (key, value, origin) entries, the last wins. InputError for unknown keys and wrong types."""
     tree = {}
     for name, value, origin in entries:
         key = find_key(name)
@@ -155,7 +157,8 @@ def unknown(name):
     below = [key for key in keys if key.startswith(name + ".")]
     if below:
         return f"{name} is a group of keys, not a value: set one of {', '.join(below)}"
-    return f"unknown key {name!r}{suggestion(name, [*keys, *FILE_KEYS])}; `python -m orchestrator.settings` lists all keys"
+    hint = suggestion(name, [*keys, *FILE_KEYS])
+    return f"unknown key {name!r}{hint}; `python -m orchestrator.settings` lists all keys"
 
 
 def fitting(key, value, name, origin):
@@ -223,7 +226,7 @@ def save(config, path):
 
 
 def load(path, arguments=()):
-    """The `Config` that `save` wrote, with key=value arguments over it. InputError if missing, broken or out of range."""
+    """The `Config` that `save` wrote, with key=value arguments over it. InputError if missing or wrong."""
     command = command_line(arguments)
     for key in FILE_KEYS:
         if key in command.values:

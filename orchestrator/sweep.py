@@ -9,11 +9,10 @@ usage: python -m orchestrator.sweep SWEEP.yaml [key=value ...]
   python -m orchestrator.sweep sweeps/ablation.yaml budget.samples=1e7 num_workers=4
 
 The same command continues a sweep that was interrupted. Folder: out=, default runs/NAME. Runs go to MLflow: to
-MLFLOW_TRACKING_URI or tracking.uri=, else to mlflow.db here. With RAY_ADDRESS set (as in `ray job submit`) it runs on that
-cluster, and out= must be on storage that all machines share. All keys: python -m orchestrator.settings
+MLFLOW_TRACKING_URI or tracking.uri=, else to mlflow.db here. With RAY_ADDRESS set (as in `ray job submit`) it runs on
+that cluster, and out= must be on storage that all machines share. All keys: python -m orchestrator.settings
 """
 
-import os
 import sys
 from dataclasses import replace
 
@@ -21,7 +20,7 @@ from motion.errors import InputError
 from motion.state_machine import build_state_machine
 from orchestrator import folder as run_folder
 from orchestrator import mlflow_store, table
-from orchestrator.console import Stopped, catch_signals, run_command
+from orchestrator.console import catch_signals, run_command
 from orchestrator.plan import read_plan
 from orchestrator.progress import DONE, Progress, Row, samples
 from orchestrator.settings import command_line, load
@@ -47,13 +46,15 @@ def main(arguments):
             try:
                 failures = run_all(plan, states, tracking, parent)
             except BaseException as error:
-                parent.finish("KILLED" if isinstance(error, Stopped) else "FAILED", timeout=3.0)
+                parent.finish("FAILED" if isinstance(error, Exception) else "KILLED", timeout=3.0)
                 raise
         content = table.collect(plan.runs, failures)
         paths = table.write(plan.out, content)
         if parent:
             parent.finish("FAILED" if failures else "FINISHED", files=paths)
     conclude(plan, content, paths)
+    for name, why in failures.items():
+        print(f"failed:  {name}: {why} (all of it: {plan.out / name / 'error.txt'})", file=sys.stderr)
     return 1 if failures else 0
 
 
@@ -71,7 +72,8 @@ def announce(plan, states):
     """Say what will run, on what, and where it goes."""
     config = plan.runs[0].config
     total = config.total_iterations * config.samples_per_iteration
-    print(f"sweep {plan.name}: rows {', '.join(plan.rows)}; seed{'s' * (len(plan.seeds) > 1)} {', '.join(map(str, plan.seeds))}")
+    seeds = ", ".join(map(str, plan.seeds))
+    print(f"sweep {plan.name}: rows {', '.join(plan.rows)}; seed{'s' * (len(plan.seeds) > 1)} {seeds}")
     print(f"  scale {config.scale}; {len(config.motions.clips)} clips ({config.motions.name})")
     print(
         f"  per run {samples(total)} samples: {config.total_iterations} iterations of {config.num_envs} simulations x "
@@ -85,7 +87,11 @@ def announce(plan, states):
     if config.tracking.enabled:
         print(f"  MLflow {mlflow_store.without_password(mlflow_store.address(config))}")
     kept = [name for name, state in states.items() if state == run_folder.FINISHED]
-    going_on = [name for name, state in states.items() if state == run_folder.UNFINISHED]
+    going_on = [
+        f"{run.name} after iteration {done}"
+        for run in plan.runs
+        if states[run.name] == run_folder.UNFINISHED and (done := run_folder.iterations_done(run.folder))
+    ]
     if kept:
         print(f"  finished before: {', '.join(kept)}")
     if going_on:
@@ -119,7 +125,8 @@ def run_all(plan, states, tracking, parent):
         for run in runs:
             cluster.check_placeable(run.config, nodes)
         concurrent = cluster.concurrent(runs[0].config, nodes)
-        print(f"Ray has {cluster.amount(nodes)}: {min(concurrent, len(runs))} at a time; learner on {runs[0].config.device}")
+        together, device = min(concurrent, len(runs)), runs[0].config.device
+        print(f"Ray has {cluster.amount(nodes)}: {together} at a time; learner on {device}", flush=True)
         why = parent.wait_ready(MLFLOW_PATIENCE)
         if why and why.startswith("no answer"):
             print(f"MLflow: {why}; training goes on, metrics are kept in metrics.jsonl", file=sys.stderr)
@@ -158,7 +165,7 @@ def conclude(plan, content, paths):
     print()
     print(table.markdown(content))
     print("\n".join(f"written: {path}" for path in paths))
-    print(f"runs:    {plan.out}{os.sep}<row>-seed<k>{os.sep}  (config.yaml, metrics.jsonl, checkpoints, evaluation.json)")
+    print(f"runs:    {plan.out / '<row>-seed<k>'}  (config.yaml, metrics.jsonl, checkpoints, evaluation.json)")
     if config.tracking.enabled:
         print(f"MLflow:  {mlflow_store.ui_hint(mlflow_store.address(config))}")
 

@@ -12,7 +12,7 @@ from orchestrator.folder import evaluation_path
 COLUMNS = ("FRPD", "FRVD", "FRRD", "FKPD", "FJRD", "FJAD", "SURI", "TC", "TS", "MS", "TTAR", "IRFA", "Return")
 FORMATS = {"TC": ".2f", "TS": ".2f", "TTAR": ".3f", "IRFA": ".0f"}  # the others: .4f
 METHODS = {"ours": "Ours", "no_sbc": "No SBC", "no_urp": "No URP", "no_tr": "No TR"}
-PAPER_SAMPLES = 4e9
+PAPER_SAMPLES = 4_000_000_000
 
 # Table 1 of the paper, MS as log sigma. The scan reads 7190 for the first TC.
 PAPER = {
@@ -24,7 +24,7 @@ PAPER = {
 
 
 def collect(runs, failures):
-    """The table's content (plain data) of a sweep's `plan.Run`s. failures: reason by run name, for those that failed."""
+    """The table's content (plain data) of a sweep's `plan.Run`s. failures: reason by name, of those that failed."""
     rows = {}
     for run in runs:
         rows.setdefault(run.config.row, []).append(result_of(run, failures.get(run.name)))
@@ -57,7 +57,7 @@ def row_content(row, results):
         "method": METHODS.get(row, row),
         "measured": mean([e["metrics"] for e in done]),
         "trained": mean([e["trained"] for e in done]),
-        "paper": dict(zip(COLUMNS, PAPER[row])) if row in PAPER else None,
+        "paper": dict(zip(COLUMNS, PAPER[row], strict=True)) if row in PAPER else None,
         "samples": sorted({e["samples"] for e in done}),
         "tasks": sorted({e["tasks"] for e in done}),
         "tightenings": [e["tightenings"] for e in done],
@@ -85,7 +85,7 @@ def caption(content):
     """Under what conditions the numbers came about, one paragraph."""
     samples = {count for row in content["rows"] for count in row["samples"]}
     tasks = sorted({count for row in content["rows"] for count in row["tasks"]})
-    amount = " to ".join(f"{n:.3g}" for n in sorted({min(samples), max(samples)})) if samples else "no"
+    amount = " to ".join(f"{n:,}" for n in sorted({min(samples), max(samples)})) if samples else "no"
     reached = ", ".join(
         f"{row['method']} {'/'.join(map(str, row['tightenings']))} of {row['final_tightenings']}"
         for row in content["rows"]
@@ -93,11 +93,12 @@ def caption(content):
     )
     seeds = content["seeds"]
     return (
-        f"Conditions: {content['clips']} clips ({content['motions']}), scale {content['scale']}, {amount} samples per run, "
-        f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}{' (mean)' * (len(seeds) > 1)}, "
-        f"{' to '.join(map(str, tasks)) or 'no'} evaluation tasks. The paper: nine other clips, {PAPER_SAMPLES:.0e} samples per "
-        f"row, 460,278 tasks. The first table counts a task as reached at the final accuracy, as the paper does; the second "
-        f"at the thresholds to which training came (cuts of the thresholds: {reached or 'none'})."
+        f"Conditions: {content['clips']} clips ({content['motions']}), scale {content['scale']}, "
+        f"{amount} samples per run, seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
+        f"{' (mean)' * (len(seeds) > 1)}, {' to '.join(map(str, tasks)) or 'no'} evaluation tasks. "
+        f"The paper: nine other clips, {PAPER_SAMPLES:,} samples per row, 460,278 tasks. The first table counts a task "
+        "as reached at the final accuracy, as the paper does; the second at the thresholds to which training came "
+        f"(cuts of the thresholds: {reached or 'none'})."
     )
 
 
@@ -144,8 +145,8 @@ def grid(header, rows):
     widths = [max(len(line[i]) for line in [header, *rows]) for i in range(len(header))]
 
     def line(values):
-        first, *rest = (f"{value:<{w}}" if i == 0 else f"{value:>{w}}" for i, (value, w) in enumerate(zip(values, widths)))
-        return "| " + " | ".join([first, *rest]) + " |"
+        rest = (value.rjust(width) for value, width in zip(values[1:], widths[1:], strict=True))
+        return "| " + " | ".join([values[0].ljust(widths[0]), *rest]) + " |"
 
     rule = "|" + "|".join("-" * (w + 2) if i == 0 else "-" * (w + 1) + ":" for i, w in enumerate(widths)) + "|"
     return [line(header), rule, *map(line, rows)]
@@ -162,7 +163,7 @@ def comma_separated(content):
             if source == "paper" and values is None:
                 continue
             numbers = [blank(values and values[column]) for column in COLUMNS]
-            rest = ["", f"{PAPER_SAMPLES:.0f}", "", ""] if source == "paper" else measured_columns(row)
+            rest = ["", f"{PAPER_SAMPLES}", "", ""] if source == "paper" else measured_columns(row)
             writer.writerow([row["row"], source, *numbers, *rest])
     return file.getvalue()
 

@@ -1,7 +1,7 @@
 """Log runs to MLflow from a thread of their own. Training never waits for it, and no step is lost or doubled.
 
-metrics.jsonl is the spool: the thread ships its lines in batches, in order, and takes up behind the last step that MLflow
-has. A server that is away is asked again until the run ends; what it did not take stays in metrics.jsonl.
+metrics.jsonl is the spool: the thread ships its lines in batches, in order, and takes up behind the last step that
+MLflow has. A server that is away is asked again until the run ends; what it did not take stays in metrics.jsonl.
 """
 
 import json
@@ -90,7 +90,9 @@ class Tracker:
         self._error = lines[0][:200] if lines else type(error).__name__
         if first:
             uri = mlflow_store.without_password(self._uri)
-            self._warn(f"MLflow at {uri} does not answer; training goes on, metrics are kept in metrics.jsonl ({self._error})")
+            self._warn(
+                f"MLflow at {uri} does not answer; training goes on, metrics stay in metrics.jsonl ({self._error})"
+            )
 
     def _connect(self):
         client = mlflow_store.make_client(self._uri)

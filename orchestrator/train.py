@@ -6,8 +6,8 @@ usage: python -m orchestrator.train [key=value ...]
   python -m orchestrator.train sbc.enabled=false row=no_sbc seed=3 out=runs/mine
   python -m orchestrator.train runtime=local scale=smoke        everything in this process, for debugging
 
-The same command continues a run that was interrupted. out= is the run's folder, default runs/train/ROW-seedK. MLflow and
-Ray as for a sweep (python -m orchestrator.sweep --help). All keys: python -m orchestrator.settings
+The same command continues a run that was interrupted. out= is the run's folder, default runs/train/ROW-seedK. MLflow
+and Ray as for a sweep (python -m orchestrator.sweep --help). All keys: python -m orchestrator.settings
 """
 
 import sys
@@ -47,9 +47,10 @@ def announce(run, state):
     """Say what will run, on what, and where it goes."""
     config = run.config
     print(f"{run.name}: scale {config.scale}; {len(config.motions.clips)} clips ({config.motions.name})")
+    total = config.total_iterations * config.samples_per_iteration
     print(
-        f"  {samples(config.total_iterations * config.samples_per_iteration)} samples: {config.total_iterations} iterations "
-        f"of {config.num_envs} simulations x {config.horizon} steps"
+        f"  {samples(total)} samples: {config.total_iterations} iterations of "
+        f"{config.num_envs} simulations x {config.horizon} steps"
     )
     print(
         f"  {config.num_workers} worker(s) x {config.worker_threads} thread(s) and one learner on {config.device}; "

@@ -71,7 +71,7 @@ def execute(config, folder, tracking, report, warn=lambda line: None):
 
 
 def evaluation_metrics(evaluation):
-    """The table's columns under MLflow's names: eval/FRPD ... at the final accuracy, trained/FRPD ... as far as trained."""
+    """The table's columns by their names in MLflow: eval/... at the final accuracy, trained/... as far as trained."""
     names = {"eval": "metrics", "trained": "trained"}
     return {f"{prefix}/{key}": value for prefix, part in names.items() for key, value in evaluation[part].items()}
 

@@ -37,8 +37,10 @@ FACTOR = "above 0 and below 1", lambda v: 0 < v < 1
 
 # What each key may be: words for the user, and the test. Null is left to the key's type.
 RULES = {
+    "reward.tremble_ramp": at_least(0),
     "reward.key_body_frame": choice("common", "own"),
     "reward.failure": FINITE,
+    "reward.tremble_ramp": at_least(0),
     "reach.heading_start": above(0),
     "reach.heading_floor": above(0),
     "fall.ignore_bodies": (
@@ -55,6 +57,8 @@ RULES = {
     "physics.substeps": at_least(1),
     "physics.iterations": at_least(1),
     "physics.ls_iterations": at_least(1),
+    "physics.tolerance": at_least(0),
+    "physics.tolerance": above(0),
     "network.hidden": every(at_least(1)),
     "network.output_scale": at_least(0),
     "policy.log_sigma": FINITE,
@@ -101,13 +105,12 @@ RULES = {
     "evaluation.num_envs": at_least(1),
     "evaluation.log_sigma": FINITE,
     "evaluation.robustness_log_sigmas": every(FINITE),
-    "evaluation.thresholds": choice("final", "trained"),
     "tracking.uri": ("an address such as sqlite:///mlflow.db or http://host:5000", lambda v: v.strip() != ""),
 }
 
 
 def check_values(config, source):
-    """Raise InputError unless every value of a `Config` is allowed; `source(key)` says where a key's value came from."""
+    """Raise InputError unless every value of a `Config` is allowed; `source(key)` says where a value came from."""
     for key, (text, accept) in RULES.items():
         value = operator.attrgetter(key)(config)
         if value is None:
@@ -132,7 +135,7 @@ def check_relations(config, source):
             f"{source('reach.heading_floor')}: reach.heading_floor={config.reach.heading_floor} must not be above "
             f"reach.heading_start={config.reach.heading_start}"
         )
-    for low, high in zip(config.curriculum.floor, config.curriculum.start):
+    for low, high in zip(config.curriculum.floor, config.curriculum.start, strict=True):
         if low > high:
             raise InputError(
                 f"{source('curriculum.floor')}: curriculum.floor={shown(config.curriculum.floor)} must not be above "
@@ -143,7 +146,7 @@ def check_relations(config, source):
         import torch
 
         if not torch.cuda.is_available():
-            raise InputError(f"{source('device')}: device=cuda but torch finds no CUDA device here; use device=cpu or auto")
+            raise InputError(f"{source('device')}: device=cuda, but torch finds no CUDA device; use device=cpu or auto")
 
 
 def shown(value):

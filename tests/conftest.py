@@ -14,6 +14,7 @@ from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
 import reference
+from learner.update import LearnerState
 from motion.formats import read_clip
 from motion.state_machine import ClipConfig, MotionsConfig, build_state_machine
 from orchestrator.config import Config
@@ -139,6 +140,7 @@ def _config(values=()):
         "ppo.minibatch_size": 32,
         "ppo.epochs": 2,
         "action.mode": "target",
+        "policy.log_sigma": -1.0,
         "budget.iterations": 4,
         "curriculum.window": 2,
         "checkpoint.every": 2,
@@ -205,6 +207,19 @@ def trajectories(library, make_policy):
     return SimpleNamespace(config=config, rollout=rollout, states=states, chunks=chunks)
 
 
+@pytest.fixture(scope="session")
+def lessons(library):
+    """What a learner can learn from: six chunks that the policy of `learner(...)` with seed 1 collected, version 0."""
+    config = _config({"task.max_steps": 16})
+    rollout = Rollout(config, library, 24, 8, seed=5)
+    policy = LearnerState(config, config.action, seed=1).snapshot()
+    state, chunks = rollout.initial_state(0), []
+    for _ in range(6):
+        chunk, state = rollout.collect(state, policy, EASY)
+        chunks.append(chunk)
+    return chunks
+
+
 # --------------------------------------------------------------------------------------------------------- comparisons
 
 
@@ -245,7 +260,7 @@ def columns():
         where = np.asarray(where)
         ended = np.isin(chunk.outcomes.environment, chunk.environment[where])
         over_time = {
-            name: getattr(chunk, name)[:, where]
+            name: np.ascontiguousarray(getattr(chunk, name)[:, where])
             for name in ("observation", "action", "mean", "reward", "end", "pose", "next_pose", "pd_target")
         }
         return dataclasses.replace(

@@ -162,6 +162,13 @@ def test_no_threshold_is_met_by_heading_unless_it_is_asked_for(library, make_con
     assert 0 < (env.end == REACHED).sum() < 8
 
 
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """MuJoCo writes MUJOCO_LOG.TXT to the working directory when a simulation diverges."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e12])
 def test_a_diverged_simulation_ends_as_a_fall_on_no_body_and_leaves_the_others_alone(poison, library, make_config, easy):
     n, sick = 6, 2
@@ -183,6 +190,7 @@ def test_a_diverged_simulation_ends_as_a_fall_on_no_body_and_leaves_the_others_a
         np.testing.assert_array_equal(getattr(env, name), getattr(healthy, name), err_msg=name)
 
 
+@pytest.mark.usefixtures("elsewhere")
 def test_a_simulation_that_diverges_during_a_step_keeps_its_last_pose_and_a_finite_reward(library, make_config, easy):
     env = start(make_config(), library, 3)
     env.qvel[1] = 1e8  # MuJoCo gives up on it after a substep or two

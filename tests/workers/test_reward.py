@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import reference
 from workers import reward
+from workers.config import RewardConfig
 from workers.environment import Environment
 from workers.types import CONTINUES, FELL, REACHED, REWARD_PARTS, TIMED_OUT, Thresholds
 
@@ -44,7 +45,8 @@ def weighted(joints):
 
 def parts_of(before, after, joints_before, joints_after, changes, trembles, end, penalty=True, tremble=True, failure=-3.0):
     out = np.full(len(REWARD_PARTS), np.nan)
-    reward.reward(before, after, joints_before, joints_after, changes, trembles, end, penalty, tremble, failure, out)
+    share = 1.0 if tremble else 0.0
+    reward.reward(before, after, joints_before, joints_after, changes, trembles, end, penalty, share, failure, out)
     return dict(zip(REWARD_PARTS, out))
 
 
@@ -149,6 +151,13 @@ def test_each_switch_changes_its_own_part_only(random_pose, deviate):
     for part, other in changed.items():
         assert [name for name in REWARD_PARTS if full[name] != other[name]] == [part]
     assert changed["tremble"]["tremble"] == 0.0 and changed["end"]["end"] == -12.0
+
+
+def test_the_tremble_term_may_grow_with_the_curriculum():
+    full, ramp = RewardConfig(), RewardConfig(tremble_ramp=4)
+    assert [reward.tremble_share(full, cuts) for cuts in (0, 1, 34)] == [1.0, 1.0, 1.0]
+    assert [reward.tremble_share(ramp, cuts) for cuts in (0, 1, 3, 4, 34)] == [0.0, 0.25, 0.75, 1.0, 1.0]
+    assert reward.tremble_share(RewardConfig(tremble=False, tremble_ramp=4), 9) == 0.0
 
 
 @pytest.mark.parametrize("penalty,frame", itertools.product([True, False], ["common", "own"]))

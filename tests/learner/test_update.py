@@ -1,0 +1,215 @@
+"""`update` is pure, indifferent to how workers shared the environments, and it learns."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from learner import ppo, sbc
+from learner.normalizer import Normalizer
+from learner.update import LearnerState, concatenate_chunks, update
+from workers.inference import PolicyNetwork
+from workers.rollout import Rollout
+from workers.types import REACHED, Chunk, Outcomes
+
+
+def learner(config, seed=1):
+    return LearnerState(config, config.action, seed)
+
+
+def content(state):
+    """All that a learner's state is, as plain data."""
+    return copy.deepcopy(state.state_dict())
+
+
+def test_an_update_leaves_its_arguments_as_they_were(lessons, make_config, assert_same_bits):
+    state = learner(make_config())
+    state, _ = update(state, lessons[:1])  # so that optimizers and normalizers hold something
+    chunks = lessons[1:2]
+    before, kept = content(state), copy.deepcopy(chunks)
+    update(state, chunks)
+    assert_same_bits(before, content(state))
+    assert_same_bits(kept, chunks)
+
+
+def test_the_same_seed_gives_the_same_weights_bit_for_bit(lessons, make_config, assert_same_bits):
+    results = []
+    for _ in range(2):
+        torch.manual_seed(np.random.default_rng().integers(2**31))  # global random numbers must not matter
+        np.random.seed(np.random.default_rng().integers(2**31))
+        state, metrics = learner(make_config()), []
+        for chunk in lessons[:3]:
+            state, numbers = update(state, [chunk])
+            metrics.append(numbers)
+        results.append([content(state), metrics, state.snapshot()])
+    assert_same_bits(*results)
+
+
+def test_another_seed_gives_other_weights(lessons, make_config):
+    states = [update(learner(make_config(), seed), lessons[:1])[0] for seed in (1, 2)]
+    first, second = (torch.cat([p.flatten() for p in s.policy.parameters()]) for s in states)
+    assert (first != second).float().mean() > 0.9
+
+
+@pytest.mark.parametrize("cuts", [[(12, 24), (0, 12)], [(16, 24), (0, 3), (3, 16)]])
+def test_chunks_of_several_workers_in_any_order_equal_the_one_chunk(
+    cuts, lessons, columns, make_config, assert_same_bits
+):
+    config = make_config({"ppo.timeout": "bootstrap"})
+    whole = lessons[2]
+    parts = [columns(whole, range(*cut)) for cut in cuts]
+    assert_same_bits(concatenate_chunks(parts), whole)
+    one, metrics = update(learner(config), [whole])
+    other, other_metrics = update(learner(config), parts)
+    assert_same_bits([content(one), metrics], [content(other), other_metrics])
+
+
+def test_every_update_step_is_one_step_of_sbc_and_then_one_of_ppo(lessons, make_config, monkeypatch):
+    calls = []
+    for module, name in ((sbc, "sbc_loss"), (ppo, "policy_loss")):
+        original = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *a, f=original, n=name: (calls.append((n, len(a[0]))), f(*a))[1])
+    config = make_config({"ppo.epochs": 2, "ppo.minibatch_size": 50})
+    update(learner(config), lessons[:1])
+    samples = lessons[0].end.size
+    assert [name for name, _ in calls] == ["sbc_loss", "policy_loss"] * (2 * -(-samples // 50))
+    # K: as many demonstrations as a minibatch has transitions
+    assert {size for name, size in calls if name == "sbc_loss"} == {-(-samples // -(-samples // 50))}
+
+
+def test_without_sbc_no_pair_is_made_or_drawn(lessons, make_config, monkeypatch, assert_same_bits):
+    chunk = lessons[:1]
+    with_sbc, _ = update(learner(make_config()), chunk)
+
+    def refuse(*arguments):
+        raise AssertionError("SBC is off")
+
+    for name in ("valid_pairs", "demonstrations", "sbc_loss"):
+        monkeypatch.setattr(sbc, name, refuse)
+    off, metrics = update(learner(make_config({"sbc.enabled": False})), chunk)
+    assert metrics["loss/sbc"] == metrics["gradient/sbc"] == metrics["sbc/valid_pairs"] == 0.0
+    # the value network never hears of SBC, the policy does
+    assert_same_bits(off.value.state_dict(), with_sbc.value.state_dict())
+    assert not torch.equal(off.policy[0].weight, with_sbc.policy[0].weight)
+
+
+def test_the_share_of_valid_pairs_is_reported(lessons, make_config):
+    chunk = lessons[0]
+    _, metrics = update(learner(make_config()), [chunk])
+    pairs = sbc.valid_pairs(chunk.pose, chunk.next_pose, chunk.end)
+    assert metrics["sbc/valid_pairs"] == pytest.approx(len(pairs) / (24 * 8 * 9 / 2))
+
+
+def test_a_chunk_without_valid_pairs_is_learned_from_by_ppo_alone(lessons, make_config, assert_same_bits):
+    chunk = replace(lessons[0], next_pose=lessons[0].pose)
+    state, metrics = update(learner(make_config()), [chunk])
+    assert metrics["loss/sbc"] == 0.0
+    off, _ = update(learner(make_config({"sbc.enabled": False})), [chunk])
+    assert_same_bits(content(state), content(off))
+
+
+def test_a_learner_recognizes_its_own_policys_actions(library, make_config, easy):
+    """Collected with its snapshot, the first minibatch has ratio one: worker and learner see the same mean."""
+    config = make_config({"ppo.learning_rate": 0.0, "sbc.enabled": False, "network.output_scale": 1.0})
+    rollout = Rollout(config, library, 8, 8, seed=0)
+    state, worker = learner(config), rollout.initial_state(0)
+    for _ in range(3):
+        chunk, worker = rollout.collect(worker, state.snapshot(), easy)
+        assert chunk.version == state.updates
+        state, metrics = update(state, [chunk])
+        assert metrics["policy/kl"] < 1e-6 and metrics["policy/clipped"] == 0.0
+
+
+def test_normalizers_hold_the_mean_and_deviation_of_all_they_saw(lessons, make_config):
+    state = learner(make_config())
+    for chunk in lessons[:4]:
+        state, _ = update(state, [chunk])
+    seen = np.concatenate([c.observation.reshape(-1, 282) for c in lessons[:4]]).astype(np.float64)
+    mean, scale = (x.numpy() for x in state.observations.mean_and_scale())
+    np.testing.assert_allclose(mean, seen.mean(axis=0), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(scale, 1 / np.sqrt(seen.var(axis=0) + 1e-8), rtol=1e-6)
+    snapshot = state.snapshot()
+    np.testing.assert_array_equal(snapshot.observation_mean, mean.astype(np.float32))
+    np.testing.assert_array_equal(snapshot.observation_scale, scale.astype(np.float32))
+
+
+def test_a_normalizer_that_is_off_or_new_leaves_vectors_as_they_are():
+    batch = torch.randn(20, 5, generator=torch.Generator().manual_seed(0)) * 2 + 1
+    off, new = Normalizer(5, False, "cpu"), Normalizer(5, True, "cpu")
+    off.update(batch)
+    for normalizer in (off, new):
+        torch.testing.assert_close(normalizer(batch), batch)
+    new.update(batch)
+    scaled = new(batch)
+    assert scaled.dtype == torch.float32 and scaled.mean(0).abs().max() < 1e-5
+    torch.testing.assert_close(scaled.std(0, unbiased=False), torch.ones(5), rtol=1e-4, atol=1e-4)
+
+
+def test_the_learning_rate_in_use_is_the_adapted_one(lessons, make_config):
+    config = make_config({"ppo.target_kl": 1e-9})
+    state = learner(config)
+    rates = []
+    for _ in range(3):
+        state, metrics = update(state, lessons[:1])
+        rates.append(metrics["policy/learning_rate"])
+        assert state.policy_optimizer.param_groups[0]["lr"] == rates[-1]
+    np.testing.assert_allclose(rates, [3e-4, 3e-4 / 1.3, 3e-4 / 1.3**2])
+    assert state.value_optimizer.param_groups[0]["lr"] == 3e-4
+
+
+# ------------------------------------------------------------------------------------------------------------ learning
+
+
+def test_demonstrations_are_learned(lessons, make_config):
+    """The SBC loss on one chunk falls, though most of it is noise; with a learning rate of zero it stays."""
+    last = {}
+    for rate in (3e-3, 0.0):
+        config = make_config({
+            "ppo.learning_rate": rate, "ppo.normalize_observations": False, "sbc.reduction": "mean", "sbc.batch_size": 256,
+        })  # fmt: skip
+        state, losses = learner(config), []
+        for _ in range(12):
+            state, metrics = update(state, lessons[:1])
+            losses.append(metrics["loss/sbc"])
+        last[rate] = np.mean(losses[-4:])
+    assert last[0.0] == pytest.approx(losses[0], rel=0.1)
+    assert last[3e-3] < 0.85 * last[0.0]
+
+
+def toy_chunk(policy, seed):
+    """One-step episodes whose reward is larger the nearer the action is to 0.3 everywhere."""
+    generator = np.random.default_rng(seed)
+    steps, n = 4, 64
+    observation = generator.normal(size=(steps, n, 282)).astype(np.float32)
+    network = PolicyNetwork(policy, n)
+    mean = np.stack([network.mean(row).copy() for row in observation])
+    action = mean + np.float32(np.exp(policy.log_sigma)) * generator.normal(size=mean.shape).astype(np.float32)
+    zeros = np.zeros(0, dtype=np.int64)
+    nobody = Outcomes(**{name: zeros for name in Outcomes.__dataclass_fields__})
+    still = np.zeros((steps, n, 84), dtype=np.float32)
+    return Chunk(
+        environment=np.arange(n), observation=observation, action=action, mean=mean,
+        reward=-((action - 0.3) ** 2).mean(axis=-1).astype(np.float32), end=np.full((steps, n), REACHED, dtype=np.int8),
+        last_observation=observation[0], final_observation=observation.reshape(-1, 282), pose=still, next_pose=still,
+        pd_target=np.zeros_like(action), outcomes=nobody, version=policy.version,
+    )  # fmt: skip
+
+
+def test_a_toy_tasks_return_rises_which_a_frozen_network_cannot(make_config):
+    last = {}
+    for rate in (2e-3, 0.0):
+        config = make_config({
+            "ppo.learning_rate": rate, "ppo.minibatch_size": 64, "sbc.enabled": False, "policy.log_sigma": -2.0,
+        })  # fmt: skip
+        state, rewards = learner(config), []
+        for k in range(25):
+            chunk = toy_chunk(state.snapshot(), k)
+            rewards.append(chunk.reward.mean())
+            state, metrics = update(state, [chunk])
+        last[rate] = np.mean(rewards[-5:])
+    frozen, learned = last[0.0], last[2e-3]
+    noise = -np.exp(-4.0)  # what the policy's noise alone costs
+    assert frozen == pytest.approx(-0.09 + noise, abs=0.01)
+    assert learned > 0.5 * frozen + 0.5 * noise
