@@ -16,8 +16,6 @@ import numpy as np
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parent
-sys.path.insert(0, str(ROOT.parent))
-
 from motion import builtin, rotations, skeleton
 
 INDEX = skeleton.BODY_INDEX

@@ -57,7 +57,7 @@ def _plain(value):
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
     if isinstance(value, np.ndarray):
-        return torch.from_numpy(np.ascontiguousarray(value))
+        return torch.from_numpy(np.array(value))  # a copy: what Ray hands out is read-only
     if isinstance(value, np.generic):
         return value.item()
     return value

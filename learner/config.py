@@ -1,7 +1,6 @@
 """What shapes the learner. Plain dataclasses: `orchestrator.config` composes them and checks their values."""
 
 from dataclasses import dataclass, field
-from typing import Optional
 
 
 @dataclass
@@ -38,7 +37,7 @@ class PPOConfig:
     """Transitions per step, at most; a chunk is cut into equal minibatches no larger than this."""
     learning_rate: float = 3e-4
     """Adam's step size at the start."""
-    target_kl: Optional[float] = None
+    target_kl: float | None = None
     """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
     max_grad_norm: float = 1.0
     """Gradients are clipped to this norm."""

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from workers.action import ABSOLUTE, MODES, TARGET, encode
-from workers.kinematics import NUM_BODIES, NUM_DOF, NQ, forward_kinematics
+from workers.kinematics import NQ, NUM_BODIES, NUM_DOF, forward_kinematics
 from workers.observation import OBSERVATION_SIZE, observe
 
 

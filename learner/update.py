@@ -79,7 +79,7 @@ def update(state, chunks):
     # with no lag the acting policy is the anchor, up to the last bits of another matrix product: take its own numbers
     anchor_mean = acting_mean if chunk.version == state.updates else _no_grad(state.policy, inputs)
     advantage = tensor(advantage.reshape(-1))
-    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    advantage = (advantage - advantage.mean()) / (advantage.std(correction=0) + 1e-8)
 
     sigma = math.exp(config.policy.log_sigma)
     batches = -(-samples // config.ppo.minibatch_size)

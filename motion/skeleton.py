@@ -88,7 +88,10 @@ LOWER_JOINTS = np.array([i for i, joint in enumerate(JOINTS) if not joint.upper]
 PARENTS = np.array([body.parent for body in BODIES])
 OFFSETS = np.array([body.offset for body in BODIES])
 
-for _table in (JOINT_QPOS, JOINT_DOF, KEY_BODIES, FOOT_BODIES, JOINT_WEIGHTS, UPPER_JOINTS, LOWER_JOINTS, PARENTS, OFFSETS):
+_TABLES = (
+    JOINT_QPOS, JOINT_DOF, KEY_BODIES, FOOT_BODIES, JOINT_WEIGHTS, UPPER_JOINTS, LOWER_JOINTS, PARENTS, OFFSETS,
+)  # fmt: skip
+for _table in _TABLES:
     _table.flags.writeable = False
 
 

@@ -5,7 +5,6 @@ lines into this and checks the values.
 """
 
 from dataclasses import dataclass, field
-from typing import Optional
 
 from learner.config import LearnerConfig
 from motion.state_machine import MotionsConfig
@@ -16,9 +15,9 @@ from workers.config import EnvConfig
 class BudgetConfig:
     """How long a run trains: whichever of the two ends first; at least one must be given."""
 
-    samples: Optional[int] = None
+    samples: int | None = None
     """Environment steps in all."""
-    iterations: Optional[int] = None
+    iterations: int | None = None
     """Updates of the learner; each uses num_envs * horizon samples."""
 
 
@@ -36,6 +35,9 @@ class CurriculumConfig:
     """Tighten when the achievement rate over the window exceeds this."""
     window: int = 100
     """Length of the sliding window; it restarts after every tightening and must be full."""
+    count_retained: bool = True
+    """Count episodes of tasks that were kept after a failure. False: only freshly drawn ones, whose rate is that over
+    all tasks; kept tasks are the hard ones and bias it downwards."""
     window_unit: str = "iterations"
     """Unit of the window: `iterations` or `episodes`."""
 
@@ -74,7 +76,7 @@ class TrackingConfig:
 
     enabled: bool = True
     """Log runs to MLflow."""
-    uri: Optional[str] = None
+    uri: str | None = None
     """Tracking address; MLFLOW_TRACKING_URI goes before it."""
 
 
@@ -90,7 +92,7 @@ class Config(EnvConfig, LearnerConfig):
     """Row of the table that this run belongs to."""
     seed: int = 0
     """All random numbers of the run are functions of this."""
-    out: Optional[str] = None
+    out: str | None = None
     """Folder of the sweep or run; default runs/<sweep>."""
     runtime: str = "ray"
     """`ray`: actors. `local`: the same numbers in one process, for debugging."""

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from workers.types import REACHED, Thresholds
+from orchestrator.metrics import summarize
+from workers.types import REACHED, Thresholds, concatenate_outcomes
 
 
 @dataclass(frozen=True)
@@ -41,17 +42,25 @@ def observe(state, config, outcomes):
     """The `CurriculumState` after the outcomes of one more iteration (episodes in the order in which they ended).
 
     The window holds the last `config.window` iterations or episodes. When it is full and the achievement rate over it
-    exceeds `config.achievement`, the thresholds are cut once and the window starts again.
+    exceeds `config.achievement`, the thresholds are cut once and the window starts again: with episodes that the new
+    thresholds judged, not those that were on their way (in a pipeline, a whole chunk) when the cut was made.
     """
     iteration = state.iteration + 1
+    if not config.count_retained:
+        outcomes = outcomes.take(~outcomes.retained)
     reached = outcomes.end == REACHED
     if config.window_unit == "iterations":
-        entries = [(int(reached.sum()), len(outcomes))]
+        judged = outcomes.tightenings == state.tightenings
+        entries = [(int(reached[judged].sum()), int(judged.sum()), state.tightenings)]
+        if len(outcomes) and not judged.any():
+            entries = []
     else:
-        entries = [(int(hit), 1) for hit in reached]
+        entries = [(int(hit), 1, int(cuts)) for hit, cuts in zip(reached, outcomes.tightenings)]
     window, tightenings = state.window, state.tightenings
-    for entry in entries:
-        window = (*window, entry)[-config.window :]
+    for hits, count, cuts in entries:
+        if cuts != tightenings:
+            continue
+        window = (*window, (hits, count))[-config.window :]
         if len(window) == config.window and _rate(window) > config.achievement:
             window, tightenings = (), tightenings + 1
     last = final_tightenings(config)
@@ -65,3 +74,26 @@ def observe(state, config, outcomes):
 def _rate(window):
     ended = sum(count for _, count in window)
     return sum(hits for hits, _ in window) / ended if ended else 0.0
+
+
+class Curriculum:
+    """Tracks the achievement rate and broadcasts thresholds: the part of a run that a Ray actor holds."""
+
+    def __init__(self, config, saved=None):
+        """config: the run's `orchestrator.config.Config`; saved: what `saved()` gave, to continue from."""
+        self._config = config
+        self._state = saved or CurriculumState()
+
+    def thresholds(self):
+        """The thresholds in force."""
+        return thresholds(self._config.curriculum, self._config.reach, self._state.tightenings)
+
+    def observe(self, *outcomes):
+        """(thresholds after one more iteration's outcomes, summary of these outcomes)."""
+        joined = concatenate_outcomes(outcomes)
+        self._state = observe(self._state, self._config.curriculum, joined)
+        return self.thresholds(), summarize(joined)
+
+    def saved(self):
+        """The state, for a checkpoint."""
+        return self._state

@@ -1,6 +1,11 @@
 """Evaluate a trained policy on the grid of tasks: the 13 metrics of Table 1 (section 6).
 
-    python -m orchestrator.evaluate RUN_FOLDER [evaluation.max_tasks=500 ...]
+usage: python -m orchestrator.evaluate RUN_FOLDER [key=value ...]
+
+  python -m orchestrator.evaluate runs/ablation/ours-seed0
+  python -m orchestrator.evaluate runs/ablation/ours-seed0 evaluation.max_tasks=0      the whole grid
+
+Evaluates the newest checkpoint in the folder and writes evaluation.json there.
 """
 
 import json
@@ -14,8 +19,10 @@ import numpy as np
 
 from motion.errors import InputError
 from motion.state_machine import build_state_machine
+from orchestrator.console import run_command
 from orchestrator.curriculum import final_tightenings, thresholds
 from orchestrator.run import load_latest
+from orchestrator.settings import load
 from orchestrator.tasks import task_grid
 from workers.config import RewardConfig
 from workers.counter_random import EVALUATION, fill_normal
@@ -57,7 +64,7 @@ def run_tasks(config, library, policy, tasks, limits, log_sigma):
         done = active[env.end[active] != 0]
         if not len(done):
             continue
-        ended.append(outcomes(env, 0, number, done))
+        ended.append(outcomes(env, 0, number, done, limits))
         again = done[: len(tasks) - waiting]
         number[again] = np.arange(waiting, waiting + len(again))
         waiting += len(again)
@@ -68,7 +75,7 @@ def run_tasks(config, library, policy, tasks, limits, log_sigma):
 
 
 def table_metrics(episodes):
-    """Ten of the 13 columns of Table 1 (section 6), of the `Outcomes` of all tasks; MS and IRFA are not among them."""
+    """Columns of Table 1 (section 6) of the `Outcomes` of all tasks: all but MS and IRFA."""
     d = episodes.deviations.mean(axis=0)
     return {
         "FRPD": d[0], "FRVD": d[1], "FRRD": d[2], "FKPD": d[3], "FJRD": d[4], "FJAD": d[6],
@@ -103,24 +110,28 @@ def evaluate_policy(config, policy, tightenings, irfa):
     tasks = task_grid(library, config.evaluation)
     if not len(tasks):
         raise InputError("evaluation: the grid holds no task; lower evaluation.moment_spacing or widen a cancel range")
-    content = {"tasks": len(tasks), "tightenings": tightenings, "final_tightenings": final_tightenings(config.curriculum)}
-    for name, cuts in (("metrics", content["final_tightenings"]), ("trained", tightenings)):
+    final = final_tightenings(config.curriculum)
+    content = {"tasks": len(tasks), "tightenings": tightenings, "final_tightenings": final}
+    for name, cuts in (("metrics", final), ("trained", tightenings)):
         limits = thresholds(config.curriculum, config.reach, cuts)
-        rates = {}
-
-        def reached_all(log_sigma):
-            if log_sigma not in rates:
-                episodes = run_tasks(config, library, policy, tasks, limits, log_sigma)
-                rates[log_sigma] = bool((episodes.end == REACHED).all())
-            return rates[log_sigma]
-
-        episodes = run_tasks(config, library, policy, tasks, limits, config.evaluation.log_sigma)
-        rates[config.evaluation.log_sigma] = bool((episodes.end == REACHED).all())
-        content[name] = {key: float(value) for key, value in table_metrics(episodes).items()}
-        content[name]["MS"] = robustness(config, reached_all)
-        content[name]["IRFA"] = irfa
+        content[name] = {**evaluate_at(config, library, policy, tasks, limits), "IRFA": irfa}
         content[f"{name}_thresholds"] = [limits.root_position, limits.key_bodies, limits.joint_rotation]
     return content
+
+
+def evaluate_at(config, library, policy, tasks, limits):
+    """The columns of Table 1 but IRFA (dict of float; MS may be None) at the given `Thresholds`."""
+    rates = {}
+
+    def reached_all(log_sigma):
+        if log_sigma not in rates:
+            rates[log_sigma] = run_tasks(config, library, policy, tasks, limits, log_sigma).end == REACHED
+        return bool(rates[log_sigma].all())
+
+    episodes = run_tasks(config, library, policy, tasks, limits, config.evaluation.log_sigma)
+    rates[config.evaluation.log_sigma] = episodes.end == REACHED
+    metrics = {key: float(value) for key, value in table_metrics(episodes).items()}
+    return {**metrics, "MS": robustness(config, reached_all)}
 
 
 def evaluate_run(folder, config):
@@ -144,14 +155,10 @@ def evaluate_run(folder, config):
 
 def main(arguments):
     """Command line; see the module's docstring."""
-    from orchestrator import settings
-
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(__doc__)
-        return 0
+    if not arguments:
+        raise InputError("no run folder given; e.g. python -m orchestrator.evaluate runs/ablation/ours-seed0")
     folder = Path(arguments[0])
-    config = settings.load(folder / "config.yaml", arguments[1:])
-    content = evaluate_run(folder, config)
+    content = evaluate_run(folder, load(folder / "config.yaml", arguments[1:]))
     print(f"{content['tasks']} tasks, checkpoint {content['checkpoint']}, {content['samples']} samples")
     for name in ("metrics", "trained"):
         limits = ", ".join(f"{value:.3g}" for value in content[f"{name}_thresholds"])
@@ -162,7 +169,4 @@ def main(arguments):
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(sys.argv[1:]))
-    except InputError as error:
-        sys.exit(f"error: {error}")
+    sys.exit(run_command(main, __doc__, sys.argv[1:]))

@@ -17,6 +17,8 @@ def summarize(outcomes):
     for i, name in enumerate(REWARD_PARTS):
         metrics[f"return/{name}"] = float(outcomes.parts[:, i].mean()) if count else None
     metrics["achievement"] = share(outcomes.end == REACHED)
+    fresh = outcomes.end[~outcomes.retained] == REACHED
+    metrics["achievement_fresh"] = float(fresh.mean()) if len(fresh) else None
     for name, end in (("reached", REACHED), ("fell", FELL), ("timed_out", TIMED_OUT)):
         metrics[f"end/{name}"] = share(outcomes.end == end)
     fell = outcomes.end == FELL

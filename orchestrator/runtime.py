@@ -7,15 +7,10 @@ state travels with each, so that a chunk can be collected again by anyone.
 
 import numpy as np
 import ray
-import torch
 
-from learner.update import LearnerState, update
-from motion.state_machine import build_state_machine
-from orchestrator import curriculum
-from orchestrator.metrics import summarize
-from workers.library import build_library
-from workers.rollout import Rollout
-from workers.types import concatenate_outcomes
+from orchestrator.cluster import resolve_device
+from orchestrator.curriculum import Curriculum
+from workers.worker import RolloutWorker
 
 
 def shares(num_envs, num_workers):
@@ -24,77 +19,12 @@ def shares(num_envs, num_workers):
     return [(int(a), int(b - a)) for a, b in zip(cuts, cuts[1:])]
 
 
-def resolve_device(name):
-    """`cuda` or `cpu` for `auto`, else the name."""
-    return ("cuda" if torch.cuda.is_available() else "cpu") if name == "auto" else name
-
-
-class RolloutWorker:
-    """Collects chunks with one share of the environments."""
-
-    def __init__(self, config, num_envs):
-        library = build_library(build_state_machine(config.motions))
-        self._rollout = Rollout(config, library, num_envs, config.horizon, config.seed, config.worker_threads)
-
-    def initial_state(self, first):
-        """`WorkerState` of environments first, first + 1, ... before the first chunk."""
-        return self._rollout.initial_state(first)
-
-    def collect(self, state, policy, thresholds):
-        """(chunk, its outcomes, next worker state)."""
-        chunk, state = self._rollout.collect(state, policy, thresholds)
-        return chunk, chunk.outcomes, state
-
-
-class Learner:
-    """Owns parameters, optimizers and normalizers."""
-
-    def __init__(self, config, saved=None):
-        torch.set_num_threads(config.learner_threads)
-        self._state = LearnerState(config, config.action, config.seed, resolve_device(config.device))
-        if saved is not None:
-            self._state.load_state_dict(saved)
-
-    def policy(self):
-        """The policy to act with now."""
-        return self._state.snapshot()
-
-    def update(self, *chunks):
-        """(policy after one more update, metrics)."""
-        self._state, metrics = update(self._state, chunks)
-        return self._state.snapshot(), metrics
-
-    def saved(self):
-        """Plain tensors and numbers for a checkpoint."""
-        return self._state.state_dict()
-
-
-class Curriculum:
-    """Tracks the achievement rate and broadcasts thresholds."""
-
-    def __init__(self, config, saved=None):
-        self._config = config
-        self._state = saved or curriculum.CurriculumState()
-
-    def thresholds(self):
-        """The thresholds in force."""
-        return curriculum.thresholds(self._config.curriculum, self._config.reach, self._state.tightenings)
-
-    def observe(self, *outcomes):
-        """(thresholds after one more iteration's outcomes, summary of these outcomes)."""
-        joined = concatenate_outcomes(outcomes)
-        self._state = curriculum.observe(self._state, self._config.curriculum, joined)
-        return self.thresholds(), summarize(joined)
-
-    def saved(self):
-        """The state, for a checkpoint."""
-        return self._state
-
-
 class LocalRuntime:
     """Everything in this process, one call after the other."""
 
     def __init__(self, config, learner=None, curriculum=None):
+        from learner.learner import Learner  # torch, which the other actors' processes need not load
+
         self._workers = [RolloutWorker(config, count) for _, count in shares(config.num_envs, config.num_workers)]
         self._learner = Learner(config, learner)
         self._curriculum = Curriculum(config, curriculum)
@@ -141,8 +71,10 @@ class RayRuntime:
     """One actor per rollout worker, one learner, one curriculum actor; chunks go from worker to learner directly."""
 
     def __init__(self, config, learner=None, curriculum=None):
+        from learner.learner import Learner
+
         self._config = config
-        gpus = 1 if resolve_device(config.device) == "cuda" else 0
+        gpus = 1 if resolve_device(config.device, config.runtime) == "cuda" else 0
         # an actor of several threads needs none of its own environment: one CPU each by default, and BLAS single
         environment = {"env_vars": {"OMP_NUM_THREADS": str(config.learner_threads), "NUMBA_NUM_THREADS": "1"}}
         actor = ray.remote(Learner).options(

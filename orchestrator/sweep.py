@@ -24,7 +24,7 @@ from orchestrator.console import catch_signals, run_command
 from orchestrator.plan import read_plan
 from orchestrator.progress import DONE, Progress, Row, samples
 from orchestrator.settings import command_line, load
-from orchestrator.trial import RunSpec, Tracking, commit_tag
+from orchestrator.tracking import Tracking, commit_tag
 
 MLFLOW_PATIENCE = 20.0  # seconds to wait for MLflow's first answer; making a new SQLite file takes about 5
 
@@ -104,7 +104,7 @@ def tracking_of(plan):
     config = plan.runs[0].config
     uri = mlflow_store.address(config) if config.tracking.enabled else None
     params = {"rows": ",".join(plan.rows), "seeds": ",".join(map(str, plan.seeds)), "scale": config.scale}
-    spec = RunSpec(plan.out, plan.name, {"scale": config.scale, **commit_tag()}, params)
+    spec = mlflow_store.RunSpec(plan.out, plan.name, {"scale": config.scale, **commit_tag()}, params)
     return Tracking(uri, plan.name, spec)
 
 

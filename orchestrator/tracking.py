@@ -6,13 +6,19 @@ MLflow has. A server that is away is asked again until the run ends; what it did
 
 import json
 import math
+import re
 import subprocess
 import threading
 import time
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from orchestrator import mlflow_store
 from orchestrator.folder import metrics_path
+from orchestrator.mlflow_store import RunSpec
+from orchestrator.plan import run_name
+from orchestrator.settings import flatten
+from orchestrator.validate import shown
 
 BATCH = 1000  # values per call, MLflow's limit
 INTERVAL = 2.0  # seconds between batches
@@ -167,6 +173,29 @@ class NoTracker:
     def finish(self, status, metrics=None, files=(), timeout=0.0):
         """Nothing to log."""
         return True
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Where runs are logged. uri: None if nowhere. experiment: name. parent: the sweep's `RunSpec`, if there is one."""
+
+    uri: str | None
+    experiment: str
+    parent: RunSpec | None = None
+
+    def start(self, spec, warn=lambda line: None):
+        """A `Tracker` of a run."""
+        return NoTracker() if self.uri is None else Tracker(self.uri, self.experiment, spec, warn)
+
+
+def run_spec(config, folder, parent=None):
+    """How a run of `config` shows in MLflow: its parameters are the whole configuration but addresses and folders."""
+    values = asdict(config)
+    for own in ("out", "tracking"):
+        del values[own]
+    params = {re.sub(r"[^\w\-. /:]", "_", key): shown(value) for key, value in flatten(values)}
+    tags = {"row": config.row, "seed": str(config.seed), "scale": config.scale, "motions": config.motions.name}
+    return RunSpec(Path(folder), run_name(config.row, config.seed), {**tags, **commit_tag()}, params, parent)
 
 
 def commit_tag():

@@ -22,6 +22,7 @@ from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, R
 from orchestrator.settings import Layer, build, command_line
 from orchestrator.sweep import with_device
 from orchestrator.table import COLUMNS, cell
+from orchestrator.tracking import Tracking
 
 EXPERIMENT = "train"
 
@@ -64,7 +65,7 @@ def announce(run, state):
 
 def train_run(run):
     """Train and evaluate an unfinished run; whether it finished."""
-    from orchestrator.trial import Throttle, Tracking, execute, reason
+    from orchestrator.trial import Throttle, execute, reason
 
     run = place(run)
     run_folder.prepare(run.folder, run.config)

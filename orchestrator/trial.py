@@ -3,45 +3,18 @@
 import re
 import time
 import traceback
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from learner import checkpoint
 from motion.errors import InputError
 from orchestrator import folder as run_folder
 from orchestrator.evaluate import evaluate_run
-from orchestrator.mlflow_store import RunSpec
-from orchestrator.plan import run_name
+from orchestrator.progress import EVALUATING
 from orchestrator.run import train
-from orchestrator.settings import flatten, load
-from orchestrator.tracking import NoTracker, Tracker, commit_tag
-from orchestrator.validate import shown
+from orchestrator.settings import load
+from orchestrator.tracking import run_spec
 
 STALE_LOCK = 60.0  # seconds that a killed sweep's processes may take to let go of a run's folder
-TRAINING, EVALUATING = "training", "evaluating"
-
-
-@dataclass(frozen=True)
-class Tracking:
-    """Where runs are logged. uri: None if nowhere. experiment: name. parent: the sweep's `RunSpec`, if there is one."""
-
-    uri: str | None
-    experiment: str
-    parent: RunSpec | None = None
-
-    def start(self, spec, warn=lambda line: None):
-        """A `Tracker` of a run."""
-        return NoTracker() if self.uri is None else Tracker(self.uri, self.experiment, spec, warn)
-
-
-def run_spec(config, folder, parent=None):
-    """How a run of `config` shows in MLflow: its parameters are the whole configuration but addresses and folders."""
-    values = asdict(config)
-    for own in ("out", "tracking"):
-        del values[own]
-    params = {re.sub(r"[^\w\-. /:]", "_", key): shown(value) for key, value in flatten(values)}
-    tags = {"row": config.row, "seed": str(config.seed), "scale": config.scale, "motions": config.motions.name}
-    return RunSpec(Path(folder), run_name(config.row, config.seed), {**tags, **commit_tag()}, params, parent)
 
 
 def execute(config, folder, tracking, report, warn=lambda line: None):
@@ -79,9 +52,10 @@ def evaluation_metrics(evaluation):
 def reason(error):
     """An exception as one line for the terminal and the table: the cause, not Ray's wrapping."""
     cause = getattr(error, "cause", None) or error
-    lines = [line.strip() for line in str(cause).strip().splitlines() if line.strip()]
-    text = lines[0] if lines else "no message"
-    return f"{type(cause).__name__}: {text}"[:300]
+    lines = [line.strip() for line in re.sub(r"\x1b\[\d*m", "", str(cause)).splitlines() if line.strip()]
+    if type(cause).__module__.startswith("ray.") and len(lines) > 1:
+        return lines[-1][:300]  # Ray's message ends with the traceback of another process, whose last line is the cause
+    return f"{type(cause).__name__}: {lines[0] if lines else 'no message'}"[:300]
 
 
 class Throttle:

@@ -2,7 +2,9 @@
 
 import logging
 import os
+import re
 import shutil
+from pathlib import Path
 
 from orchestrator import folder as run_folder
 from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING
@@ -95,7 +97,15 @@ def make_watch(base, progress):
 
         def on_trial_error(self, iteration, trials, trial, **info):
             name = name_of(trial)
-            self.failures[name] = self._reported.get(name, "its process died without a word (out of memory?)")
+            self.failures[name] = self._reported.get(name) or unreported(trial)
             progress.state(name, FAILED, self.failures[name])
 
     return Watch()
+
+
+def unreported(trial):
+    """Why a trial ended that could not say so itself, its process having died. Keeps Ray's words in error.txt."""
+    text = Path(trial.error_file).read_text() if trial.error_file else ""
+    (Path(trial.config["job"]["folder"]) / "error.txt").write_text(text)
+    errors = re.findall(r"^\w+(?:Error|Exception): .+$", text, re.MULTILINE)
+    return errors[-1][:300] if errors else "its process died"

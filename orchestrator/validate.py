@@ -37,7 +37,6 @@ FACTOR = "above 0 and below 1", lambda v: 0 < v < 1
 
 # What each key may be: words for the user, and the test. Null is left to the key's type.
 RULES = {
-    "reward.tremble_ramp": at_least(0),
     "reward.key_body_frame": choice("common", "own"),
     "reward.failure": FINITE,
     "reward.tremble_ramp": at_least(0),
@@ -57,7 +56,6 @@ RULES = {
     "physics.substeps": at_least(1),
     "physics.iterations": at_least(1),
     "physics.ls_iterations": at_least(1),
-    "physics.tolerance": at_least(0),
     "physics.tolerance": above(0),
     "network.hidden": every(at_least(1)),
     "network.output_scale": at_least(0),

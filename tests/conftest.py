@@ -4,19 +4,20 @@ Fixtures that are functions (`make_...`, `random_...`) are session-scoped, so th
 """
 
 import dataclasses
+import itertools
 import operator
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import reference
 from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
-import reference
 from learner.update import LearnerState
 from motion.formats import read_clip
-from motion.state_machine import ClipConfig, MotionsConfig, build_state_machine
+from motion.state_machine import ClipConfig, MotionsConfig, State, StateMachine, build_state_machine
 from orchestrator.config import Config
 from workers.humanoid import build_model
 from workers.kinematics import forward_kinematics_batch
@@ -63,6 +64,14 @@ def real_clips():
 
 
 @pytest.fixture(scope="session")
+def real_library(real_clips):
+    """All transitions between the real clips, each left anywhere in its second half."""
+    states = tuple(State(c.name, c, 0.0, (c.duration / 2, c.duration)) for c in real_clips)
+    groups = np.array([(source, target) for source in range(len(states)) for target in range(len(states))])
+    return build_library(StateMachine(states, groups, (-np.pi / 2, np.pi / 2)))
+
+
+@pytest.fixture(scope="session")
 def all_clips(machine, request):
     """The built-in clips of `motions`, and the real ones where there are any."""
     return [state.clip for state in machine.states] + (request.getfixturevalue("real_clips") if REAL.is_dir() else [])
@@ -72,7 +81,9 @@ def all_clips(machine, request):
 def clip_poses(all_clips):
     """(qpos (n, 47), qvel (n, 37)) of frames of `all_clips`."""
     rows = [np.linspace(0, clip.frames - 1, 4).astype(int) for clip in all_clips]
-    return tuple(np.concatenate([getattr(c, name)[r] for c, r in zip(all_clips, rows)]) for name in ("qpos", "qvel"))
+    return tuple(
+        np.concatenate([getattr(c, name)[r] for c, r in zip(all_clips, rows, strict=True)]) for name in ("qpos", "qvel")
+    )
 
 
 @pytest.fixture(scope="session")
@@ -112,7 +123,7 @@ def random_poses():
 
     def make(count, seed=0, **keywords):
         poses = [_random_pose([seed, i], **keywords) for i in range(count)]
-        return tuple(np.array(array) for array in zip(*poses))
+        return tuple(np.array(array) for array in zip(*poses, strict=True))
 
     return make
 
@@ -167,7 +178,7 @@ def make_policy():
     def make(seed=0, hidden=(16,), gain=0.1, log_sigma=-1.0, version=0):
         generator = np.random.default_rng(seed)
         sizes = [282, *hidden, 31]
-        weights = [generator.normal(size=(a, b)) / np.sqrt(a) for a, b in zip(sizes, sizes[1:])]
+        weights = [generator.normal(size=(a, b)) / np.sqrt(a) for a, b in itertools.pairwise(sizes)]
         weights[-1] *= gain
         return Policy(
             weights=tuple(w.astype(np.float32) for w in weights),
@@ -194,8 +205,8 @@ def easy():
 def trajectories(library, make_policy):
     """Real chunks, in which episodes end in every way: 6 chunks of 24 environments and 8 steps in sequence.
 
-    Time is up after 16 steps, so that many episodes begin and end within a chunk. states[k] is the worker's state before
-    chunks[k], states[6] after the last.
+    Time is up after 16 steps, so that many episodes begin and end within a chunk. states[k] is the worker's state
+    before chunks[k], states[6] after the last.
     """
     config = _config({"task.max_steps": 16})
     rollout = Rollout(config, library, 24, 8, seed=5)
@@ -273,5 +284,3 @@ def columns():
         )
 
     return take
-
-

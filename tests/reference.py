@@ -1,8 +1,9 @@
 """The equations of the project's spec (sbc.md), written from the spec alone: slow, obvious, one pose at a time.
 
-Nothing here imports the packages under test. A pose is `qpos` (47) and `qvel` (37) in MuJoCo's layouts: root position,
-root quaternion wxyz, then per joint (the order of FIGURE) a quaternion or, for hinges, an angle; root linear velocity in
-the world, root angular velocity in the root's frame, joint velocities in the child's frame. Rotations are scipy's.
+Nothing here imports the packages under test. A pose is `qpos` (47) and `qvel` (37) in MuJoCo's layouts: root
+position, root quaternion wxyz, then per joint (the order of FIGURE) a quaternion or, for hinges, an angle; root linear
+velocity in the world, root angular velocity in the root's frame, joint velocities in the child's frame. Rotations are
+scipy's.
 """
 
 from types import SimpleNamespace
@@ -290,7 +291,7 @@ def end_reward(end, after):
 
 def direction_changes(velocities_before, velocities):
     """O_t of Eq. 12, of two (31,) joint velocities."""
-    return sum(1 for a, b in zip(velocities_before, velocities) if a * b < 0)
+    return sum(1 for a, b in zip(velocities_before, velocities, strict=True) if a * b < 0)
 
 
 def tremble_reward(changes, accumulated, tremble=True):
@@ -352,11 +353,23 @@ FLOOR = (0.01, 0.09, 0.15)
 
 
 class Curriculum:
-    """Eq. 16 with a list. One call of `add` per iteration or per episode: (number that reached, number that ended)."""
+    """Eq. 16 with a list of (reached, ended), an entry per iteration or per episode.
 
-    def __init__(self, window=100, rate=0.88, factor=0.9):
+    After a tightening the list is empty, and only episodes that the new thresholds judged enter it.
+    """
+
+    def __init__(self, window=100, unit="iterations", rate=0.88, factor=0.9):
+        self.window, self.unit, self.rate, self.factor = window, unit, rate, factor
         self.thresholds, self.results, self.tightenings = START, [], 0
-        self.window, self.rate, self.factor = window, rate, factor
+
+    def iteration(self, hits, judged_by):
+        """hits: whether each episode of an iteration reached; judged_by: how often its thresholds had been cut."""
+        if self.unit == "episodes":
+            for hit in hits:
+                if judged_by == self.tightenings:
+                    self.add(int(hit), 1)
+        elif len(hits) == 0 or judged_by == self.tightenings:
+            self.add(sum(map(int, hits)), len(hits))
 
     def add(self, reached, ended):
         self.results.append((reached, ended))
@@ -364,7 +377,7 @@ class Curriculum:
         if len(self.results) < self.window or sum(n for _, n in self.results) == 0:
             return
         if sum(r for r, _ in self.results) / sum(n for _, n in self.results) > self.rate:
-            new = tuple(max(self.factor * thr, floor) for thr, floor in zip(self.thresholds, FLOOR))
+            new = tuple(max(self.factor * thr, floor) for thr, floor in zip(self.thresholds, FLOOR, strict=True))
             self.tightenings += new != self.thresholds
             self.thresholds, self.results = new, []
 

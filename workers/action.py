@@ -10,7 +10,15 @@ import math
 from numba import njit
 
 from workers.kinematics import (
-    JOINT_DOF, JOINT_QPOS, JOINT_SIZE, NUM_JOINTS, conjugate, exponential, logarithm, multiply, quaternion_at,
+    JOINT_DOF,
+    JOINT_QPOS,
+    JOINT_SIZE,
+    NUM_JOINTS,
+    conjugate,
+    exponential,
+    logarithm,
+    multiply,
+    quaternion_at,
 )  # fmt: skip
 
 ABSOLUTE, TARGET, CURRENT = range(3)

@@ -7,7 +7,7 @@ from numba import njit
 
 from workers.action import MODES, act_batch
 from workers.humanoid import build_model
-from workers.kinematics import NUM_BODIES, NUM_DOF, NUM_JOINTS, NQ, NV, forward_kinematics, forward_kinematics_batch
+from workers.kinematics import NQ, NUM_BODIES, NUM_DOF, NUM_JOINTS, NV, forward_kinematics, forward_kinematics_batch
 from workers.observation import OBSERVATION_SIZE, observe_batch
 from workers.planner import begin, draw_task, stays
 from workers.reward import deviate, deviate_batch, reward, sign_changes, tremble_share
@@ -17,16 +17,21 @@ from workers.types import DEVIATIONS, FELL, NUM_PARTS, REACHED, WorkerState
 # the warnings on which MuJoCo resets a simulation by itself
 _DIVERGED = [
     int(warning)
-    for warning in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
 ]
 
 
 @njit(cache=True)
-def _plan(seed, stay_probability, environment, episode, failed, ids, groups, cancel, rotation, task):
+def _plan(seed, stay_probability, environment, episode, failed, ids, groups, cancel, rotation, task, retained):
     """The next task of environments ids: the same one after a failure that stays, else a new one. Counts episodes."""
     for i in ids:
         episode[i] += 1
-        if not (failed[i] and stays(seed, environment[i], episode[i], stay_probability)):
+        retained[i] = failed[i] and stays(seed, environment[i], episode[i], stay_probability)
+        if not retained[i]:
             draw_task(seed, environment[i], episode[i], groups, cancel, rotation, task[i])
 
 
@@ -95,7 +100,7 @@ class Environment:
         self.target_bodies, self._target_rotations = np.zeros_like(self.bodies), np.zeros_like(self.rotations)
         self.deviations, self.joints = np.zeros((num_envs, len(DEVIATIONS))), np.zeros((num_envs, NUM_JOINTS))
         self.steps, self.trembles = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=np.int64)
-        self.task = np.zeros((num_envs, 4))
+        self.task, self.retained = np.zeros((num_envs, 4)), np.zeros(num_envs, dtype=np.bool_)
         self.parts, self.totals = np.zeros((num_envs, NUM_PARTS)), np.zeros((num_envs, NUM_PARTS))
         self.end, self.fell_on = np.zeros(num_envs, dtype=np.int8), np.zeros(num_envs, dtype=np.int16)
         self.pd_target = np.zeros((num_envs, NUM_DOF))
@@ -142,12 +147,16 @@ class Environment:
         if diverged.any():
             self.qpos[diverged], self.qvel[diverged] = last_qpos[diverged], last_qvel[diverged]
         switches = self.config.reward
+        # floats, also where a caller gives integers: another type would be compiled for on the spot
+        names = ("root_position", "key_bodies", "joint_rotation", "heading")
+        limits = np.array([getattr(thresholds, name) for name in names], dtype=np.float64)
         _score(
             rows, self.qpos, self.qvel, last_qvel, diverged, self.bodies, self.rotations,
             self.target_qpos, self.target_qvel, self.target_bodies,
-            (thresholds.root_position, thresholds.key_bodies, thresholds.joint_rotation, thresholds.heading),
+            limits,
             self._mask, self.config.task.max_steps, self._own_frame,
-            switches.upper_body_penalty, tremble_share(switches, thresholds.tightenings), switches.failure,
+            bool(switches.upper_body_penalty), tremble_share(switches, thresholds.tightenings),
+            float(switches.failure),
             self.deviations, self.joints, self.steps, self.trembles, self.parts, self.end, self.fell_on,
         )  # fmt: skip
         self.totals[rows] += self.parts[rows]
@@ -155,7 +164,7 @@ class Environment:
     def load(self, state):
         """Become the environments of a `WorkerState`."""
         self._batch.state[:] = state.physics
-        for name in ("steps", "trembles", "task", "target_qpos", "target_qvel", "totals"):
+        for name in ("steps", "trembles", "task", "retained", "target_qpos", "target_qvel", "totals"):
             getattr(self, name)[:] = getattr(state, name)
         forward_kinematics_batch(self.qpos, self.bodies, self.rotations)
         forward_kinematics_batch(self.target_qpos, self.target_bodies, self._target_rotations)
@@ -166,7 +175,7 @@ class Environment:
 
     def save(self, environment, episode, clock):
         """The `WorkerState` of these environments; the arguments are the fields that the planner and the noise own."""
-        names = ("steps", "trembles", "task", "target_qpos", "target_qvel", "totals")
+        names = ("steps", "trembles", "task", "retained", "target_qpos", "target_qvel", "totals")
         return WorkerState(
             environment=environment.copy(),
             physics=self._batch.state.copy(),
@@ -181,7 +190,7 @@ class Environment:
         failed = (self.end != REACHED) & (self.end != 0)
         _plan(
             seed, self.config.task.stay_probability, environment, episode, failed, ids,
-            library.groups, library.cancel, library.rotation, self.task,
+            library.groups, library.cancel, library.rotation, self.task, self.retained,
         )  # fmt: skip
 
 

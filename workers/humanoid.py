@@ -145,8 +145,8 @@ def _actuators():
     return "\n".join(lines)
 
 
-def mjcf(physics=PhysicsConfig()):
-    """The figure on a floor as an MJCF document (str)."""
+def mjcf(physics):
+    """The figure on a floor as an MJCF document (str), for a `PhysicsConfig`."""
     excludes = "\n".join(f'<exclude body1="{a}" body2="{b}"/> <!-- {why} -->' for a, b, why in EXCLUDED)
     return f"""<mujoco model="sword_and_shield">
 <compiler angle="radian" autolimits="true"/>
@@ -167,10 +167,10 @@ def mjcf(physics=PhysicsConfig()):
 """
 
 
-def build_model(physics=PhysicsConfig()):
-    """The compiled `mujoco.MjModel` of the figure on a floor."""
+def build_model(physics):
+    """The compiled `mujoco.MjModel` of the figure on a floor, for a `PhysicsConfig`."""
     return mujoco.MjModel.from_xml_string(mjcf(physics))
 
 
 if __name__ == "__main__":
-    print(mjcf())
+    print(mjcf(PhysicsConfig()))

@@ -7,7 +7,16 @@ import numpy as np
 from numba import njit
 
 from workers.kinematics import (
-    JOINT_QPOS, JOINT_SIZE, NUM_JOINTS, NQ, NV, conjugate, exponential, logarithm, multiply, quaternion_at,
+    JOINT_QPOS,
+    JOINT_SIZE,
+    NQ,
+    NUM_JOINTS,
+    NV,
+    conjugate,
+    exponential,
+    logarithm,
+    multiply,
+    quaternion_at,
 )  # fmt: skip
 
 

@@ -7,7 +7,15 @@ from numba import njit
 
 from motion import skeleton
 from workers.kinematics import (
-    NUM_DOF, NUM_JOINTS, about_z, conjugate, heading, joint_quaternion, multiply, quaternion_at, rotate,
+    NUM_DOF,
+    NUM_JOINTS,
+    about_z,
+    conjugate,
+    heading,
+    joint_quaternion,
+    multiply,
+    quaternion_at,
+    rotate,
 )  # fmt: skip
 
 POSE_SIZE = 140

@@ -7,8 +7,18 @@ from numba import njit
 
 from motion import skeleton
 from workers.kinematics import (
-    JOINT_DOF, JOINT_QPOS, JOINT_SIZE, NUM_DOF, NUM_JOINTS,
-    about_z, conjugate, heading, logarithm, multiply, quaternion_at, rotate,
+    JOINT_DOF,
+    JOINT_QPOS,
+    JOINT_SIZE,
+    NUM_DOF,
+    NUM_JOINTS,
+    about_z,
+    conjugate,
+    heading,
+    logarithm,
+    multiply,
+    quaternion_at,
+    rotate,
 )  # fmt: skip
 from workers.types import DEVIATIONS, REACHED, REWARD_PARTS
 

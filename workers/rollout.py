@@ -5,7 +5,7 @@ import numpy as np
 from workers.counter_random import ACTION, fill_normal
 from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
-from workers.kinematics import NUM_DOF, NQ, NV
+from workers.kinematics import NQ, NUM_DOF, NV
 from workers.types import Chunk, Outcomes, concatenate_outcomes
 
 
@@ -46,7 +46,7 @@ class Rollout:
         next_pose = np.empty_like(pose)
         noise = np.empty((n, NUM_DOF))
         nobody = np.zeros(0, dtype=np.int64)
-        final, ended = [env.observe(new_observations(0), nobody)], [outcomes(env, clock, index, nobody)]
+        final, ended = [env.observe(new_observations(0), nobody)], [outcomes(env, clock, index, nobody, thresholds)]
         for t in range(horizon):
             env.observe(observation[t])
             mean[t] = network.mean(observation[t])
@@ -62,7 +62,7 @@ class Rollout:
             ids = np.flatnonzero(env.end)
             if len(ids):
                 final.append(env.observe(new_observations(len(ids)), ids))
-                ended.append(outcomes(env, clock, index, ids))
+                ended.append(outcomes(env, clock, index, ids, thresholds))
                 env.plan(self._seed, index, episode, ids)
                 env.begin(ids)
         chunk = Chunk(
@@ -83,14 +83,16 @@ class Rollout:
         return chunk, env.save(index, episode, clock)
 
 
-def outcomes(env, clock, index, ids):
-    """The `Outcomes` of rows ids of an environment, whose episodes have just ended."""
+def outcomes(env, clock, index, ids, thresholds):
+    """The `Outcomes` of rows ids of an environment, whose episodes have just ended under `Thresholds`."""
     return Outcomes(
         clock=np.full(len(ids), clock, dtype=np.int64),
         environment=index[ids],
         task=env.task[ids],
+        retained=env.retained[ids],
         end=env.end[ids],
         fell_on=env.fell_on[ids],
+        tightenings=np.full(len(ids), thresholds.tightenings, dtype=np.int64),
         steps=env.steps[ids],
         trembles=env.trembles[ids],
         parts=env.totals[ids],

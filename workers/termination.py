@@ -8,7 +8,7 @@ from numba import njit
 from motion import skeleton
 from workers.humanoid import SHAPES
 from workers.kinematics import NUM_BODIES, quaternion_at, rotate
-from workers.reward import KP, Q, RP, RQ
+from workers.reward import KP, RP, RQ, Q
 from workers.types import CONTINUES, FELL, REACHED, TIMED_OUT
 
 _KINDS = {"sphere": 0, "capsule": 1, "box": 2, "cylinder": 3}

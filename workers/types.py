@@ -58,6 +58,7 @@ class WorkerState:
     trembles: (N,) int64, C_t of Eq. 12.
     episode: (N,) int64, episodes begun so far; the counter of the planner's random numbers.
     task: (N, 4) float64, source state, moment (s), target state, rotation (rad).
+    retained: (N,) bool, the task was kept after a failure instead of drawn.
     target_qpos, target_qvel: (N, 47), (N, 37), the target pose in the world.
     totals: (N, NUM_PARTS) float64, reward of the running episode by part (`REWARD_PARTS`).
     clock: policy steps taken since the start of the run; the counter of the actions' noise.
@@ -69,6 +70,7 @@ class WorkerState:
     trembles: np.ndarray
     episode: np.ndarray
     task: np.ndarray
+    retained: np.ndarray
     target_qpos: np.ndarray
     target_qvel: np.ndarray
     totals: np.ndarray
@@ -93,8 +95,9 @@ class Outcomes:
     """The E episodes that ended in a chunk, ordered by step, then by environment.
 
     clock: (E,) int64, policy steps since the start of the run. environment: (E,) int64, index in the run.
-    task: (E, 4), as in WorkerState.
+    task: (E, 4), retained: (E,), as in WorkerState.
     end: (E,) int8, REACHED, FELL or TIMED_OUT. fell_on: (E,) int16, the body that touched the ground, else -1.
+    tightenings: (E,) int64, of the thresholds that judged the episode's last step.
     steps: (E,) int64, TS. trembles: (E,) int64, TC.
     parts: (E, NUM_PARTS) float64, accumulated reward by part; their sum is the return.
     deviations: (E, 7) float64 of the last frame, in `DEVIATIONS` order.
@@ -103,8 +106,10 @@ class Outcomes:
     clock: np.ndarray
     environment: np.ndarray
     task: np.ndarray
+    retained: np.ndarray
     end: np.ndarray
     fell_on: np.ndarray
+    tightenings: np.ndarray
     steps: np.ndarray
     trembles: np.ndarray
     parts: np.ndarray

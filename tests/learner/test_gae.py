@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+import reference
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-import reference
 from learner.gae import advantages
 from learner.update import LearnerState, update
 from workers.types import CONTINUES, FELL, REACHED, TIMED_OUT
@@ -19,7 +19,13 @@ def column(*values, dtype=np.float32):
 def test_a_trajectory_without_an_end_worked_out_by_hand():
     # delta = (1 + .9 * .2 - .5, 0 + .9 * .1 - .2, 2 + .9 * .3 - .1) = (.68, -.11, 2.17); lambda * gamma = .72
     got, returns = advantages(
-        column(1, 0, 2), column(0.5, 0.2, 0.1), np.float32([0.3]), column(0, 0, 0, dtype=np.int8), np.zeros((3, 1)), 0.9, 0.8
+        column(1, 0, 2),
+        column(0.5, 0.2, 0.1),
+        np.float32([0.3]),
+        column(0, 0, 0, dtype=np.int8),
+        np.zeros((3, 1)),
+        0.9,
+        0.8,
     )
     wanted = [0.68 + 0.72 * (-0.11 + 0.72 * 2.17), -0.11 + 0.72 * 2.17, 2.17]
     np.testing.assert_allclose(got[:, 0], wanted, rtol=1e-6)
@@ -53,7 +59,9 @@ def test_advantages_are_explicit_sums(seed, horizon, share, gamma, lam, bootstra
     generator, n = np.random.default_rng(seed), 3
     reward, value, timeout_value = generator.normal(size=(3, horizon, n)).astype(np.float32)
     last_value = generator.normal(size=n).astype(np.float32)
-    end = np.where(generator.random((horizon, n)) < share, generator.integers(1, 4, (horizon, n)), CONTINUES).astype(np.int8)
+    end = np.where(generator.random((horizon, n)) < share, generator.integers(1, 4, (horizon, n)), CONTINUES).astype(
+        np.int8
+    )
     if not bootstrap:
         timeout_value[:] = 0
     got, returns = advantages(reward, value, last_value, end, timeout_value, gamma, lam)

@@ -27,7 +27,8 @@ def test_log_probabilities_differ_as_those_of_a_normal_distribution():
 
 
 @given(
-    seed=st.integers(0, 10_000), sigma=st.sampled_from([0.1, 0.5]), clip=st.sampled_from([0.1, 0.2]), lag=st.sampled_from([0.0, 0.03])
+    seed=st.integers(0, 10_000), sigma=st.sampled_from([0.1, 0.5]), clip=st.sampled_from([0.1, 0.2]),
+    lag=st.sampled_from([0.0, 0.03]),
 )  # fmt: skip
 def test_the_loss_is_the_clipped_surrogate_worked_out_row_by_row(seed, sigma, clip, lag):
     """With a lag, the ratio is clipped around the anchor and weighted by anchor over acting policy."""
@@ -35,14 +36,16 @@ def test_the_loss_is_the_clipped_surrogate_worked_out_row_by_row(seed, sigma, cl
     acting_mean = anchor_mean + lag * torch.randn(12, 31, generator=torch.Generator().manual_seed(seed + 1))
 
     def log_density(action, mean):
-        return -sum((x - y) ** 2 for x, y in zip(action, mean)) / (2 * sigma**2)
+        return -sum((x - y) ** 2 for x, y in zip(action, mean, strict=True)) / (2 * sigma**2)
 
     total, divergence, clipped = 0.0, 0.0, 0
-    for m, a, old, o, adv in zip(*(x.tolist() for x in (mean, action, acting_mean, anchor_mean, advantage))):
+    for m, a, old, o, adv in zip(
+        *(x.tolist() for x in (mean, action, acting_mean, anchor_mean, advantage)), strict=True
+    ):
         weight = math.exp(log_density(a, o) - log_density(a, old))
         ratio = math.exp(log_density(a, m) - log_density(a, o))
         total += weight * min(ratio * adv, min(max(ratio, 1 - clip), 1 + clip) * adv)
-        divergence += sum((y - z) ** 2 for y, z in zip(m, o)) / (2 * sigma**2)
+        divergence += sum((y - z) ** 2 for y, z in zip(m, o, strict=True)) / (2 * sigma**2)
         clipped += abs(ratio - 1) > clip
         assert lag > 0 or weight == 1.0
     got = ppo.policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip)
@@ -77,7 +80,7 @@ def spied(monkeypatch):
     names = ("mean", "action", "acting_mean", "anchor_mean", "advantage")
 
     def spy(*arguments):
-        calls.append({name: array.detach().numpy().copy() for name, array in zip(names, arguments)})
+        calls.append({name: array.detach().numpy().copy() for name, array in zip(names, arguments[:5], strict=True)})
         return original(*arguments)
 
     monkeypatch.setattr(ppo, "policy_loss", spy)
@@ -108,17 +111,17 @@ def test_a_minibatch_holds_the_actions_means_and_advantages_of_the_same_transiti
     where = {action.tobytes(): i for i, action in enumerate(chunk.action.reshape(-1, 31))}
     advantage_of = {}
     for call in spied:
-        for action, acting_mean, advantage in zip(call["action"], call["acting_mean"], call["advantage"]):
+        for action, acting_mean, advantage in zip(call["action"], call["acting_mean"], call["advantage"], strict=True):
             i = where[action.tobytes()]
             np.testing.assert_array_equal(acting_mean, chunk.mean.reshape(-1, 31)[i])
             assert advantage_of.setdefault(i, advantage) == advantage
     advantages = np.array(list(advantage_of.values()))
     assert len(advantages) == chunk.end.size
-    assert advantages.mean() == pytest.approx(0.0, abs=1e-5) and advantages.std(ddof=1) == pytest.approx(1.0, abs=1e-4)
+    assert advantages.mean() == pytest.approx(0.0, abs=1e-5) and advantages.std() == pytest.approx(1.0, abs=1e-4)
 
 
 def test_the_anchor_is_the_policy_at_the_updates_start_whatever_the_chunks_age(spied, lessons, make_config):
-    """Depth 0: the acting policy's own numbers. Depth 1: what the learner's network, one update on, says of the chunk."""
+    """Depth 0: the acting policy's own numbers. Depth 1: what the network, one update on, says of the chunk."""
     config = make_config({"ppo.learning_rate": 0.0, "sbc.enabled": False})
     state = LearnerState(config, config.action, seed=1)
     state, _ = update(state, [lessons[0]])
@@ -144,7 +147,15 @@ def test_updates_shuffle_differently(spied, lessons, make_config):
 
 @pytest.mark.parametrize(
     "divergence, target, factor",
-    [(0.0, None, 1.0), (9.0, None, 1.0), (0.1, 0.1, 1.0), (0.14, 0.1, 1.0), (0.07, 0.1, 1.0), (0.2, 0.1, 1 / 1.3), (0.01, 0.1, 1.3)],
+    [
+        (0.0, None, 1.0),
+        (9.0, None, 1.0),
+        (0.1, 0.1, 1.0),
+        (0.14, 0.1, 1.0),
+        (0.07, 0.1, 1.0),
+        (0.2, 0.1, 1 / 1.3),
+        (0.01, 0.1, 1.3),
+    ],
 )
 def test_the_learning_rate_follows_the_divergence_outside_a_dead_band(divergence, target, factor):
     assert ppo.adapt_learning_rate(1e-3, divergence, target) == pytest.approx(1e-3 * factor)

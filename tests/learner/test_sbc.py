@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import reference
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-import reference
 from learner import sbc
 from learner.config import SBCConfig
 from learner.update import LearnerState, update
@@ -23,7 +23,7 @@ from workers.types import CONTINUES, FELL, REACHED, TIMED_OUT
 
 def stored(pairs):
     """Pairs as a set of (t, k, environment)."""
-    return set(zip(pairs.step.tolist(), (pairs.target + 1).tolist(), pairs.column.tolist()))
+    return set(zip(pairs.step.tolist(), (pairs.target + 1).tolist(), pairs.column.tolist(), strict=True))
 
 
 def exhaustive(pose, next_pose, end):
@@ -54,12 +54,24 @@ def test_valid_pairs_are_algorithm_1s_store_on_random_trajectories(seed, horizon
     assert stored(sbc.valid_pairs(*chunk)) == exhaustive(*chunk)
 
 
-def test_valid_pairs_are_algorithm_1s_store_on_real_chunks(lessons):
-    for chunk in lessons:
+def assert_pairs_are_the_store(chunks):
+    for chunk in chunks:
         pairs = sbc.valid_pairs(chunk.pose, chunk.next_pose, chunk.end)
         assert len(stored(pairs)) == len(pairs)
         assert stored(pairs) == exhaustive(chunk.pose, chunk.next_pose, chunk.end)
         assert {(t, k) for t, k, _ in stored(pairs)} > {(0, 1), (0, 8), (7, 8)}
+
+
+def test_valid_pairs_are_algorithm_1s_store_on_rollouts(lessons):
+    assert_pairs_are_the_store(lessons)
+
+
+def test_valid_pairs_are_algorithm_1s_store_on_rollouts_between_real_clips(
+    real_library, make_config, make_policy, easy
+):
+    rollout = Rollout(make_config({"task.max_steps": 16}), real_library, 24, 8, seed=0)
+    chunk, _ = rollout.collect(rollout.initial_state(0), make_policy(), easy)
+    assert_pairs_are_the_store([chunk])
 
 
 @pytest.mark.parametrize("end", [REACHED, FELL, TIMED_OUT])
@@ -94,7 +106,14 @@ def test_an_update_draws_pairs_as_from_the_exhaustive_store(lessons, columns, ma
     drawn, original = Counter(), sbc.demonstrations
 
     def spy(chunk, pairs, chosen, action):
-        drawn.update(zip(pairs.step[chosen].tolist(), (pairs.target[chosen] + 1).tolist(), pairs.column[chosen].tolist()))
+        drawn.update(
+            zip(
+                pairs.step[chosen].tolist(),
+                (pairs.target[chosen] + 1).tolist(),
+                pairs.column[chosen].tolist(),
+                strict=True,
+            )
+        )
         return original(chunk, pairs, chosen, action)
 
     monkeypatch.setattr(sbc, "demonstrations", spy)
@@ -118,7 +137,7 @@ def test_a_demonstration_observes_p_t_with_p_k_as_its_target(drawn, make_config)
     chunk, pairs, chosen = drawn
     observation, _ = sbc.demonstrations(chunk, pairs, chosen, make_config().action)
     assert observation.shape == (40, 282) and observation.dtype == np.float32
-    for row, m in zip(observation, chosen):
+    for row, m in zip(observation, chosen, strict=True):
         pose = chunk.pose[pairs.step[m], pairs.column[m]].astype(float)
         target = chunk.next_pose[pairs.target[m], pairs.column[m]].astype(float)
         wanted = reference.observation(pose[:47], pose[47:], target[:47], target[47:])
@@ -126,7 +145,7 @@ def test_a_demonstration_observes_p_t_with_p_k_as_its_target(drawn, make_config)
 
 
 def assert_same_rotations(a, b, atol=2e-4):
-    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF):
+    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF, strict=True):
         part = slice(start, start + joint.dof)
         if joint.dof == 3:
             assert (Rotation.from_rotvec(a[part]).inv() * Rotation.from_rotvec(b[part])).magnitude() < atol
@@ -141,7 +160,7 @@ def test_a_demonstrated_action_aims_the_controllers_where_the_step_did(mode, sca
     chunk, pairs, chosen = drawn
     config = make_config({"action.mode": mode, "action.scale": scale})
     _, action = sbc.demonstrations(chunk, pairs, chosen, config.action)
-    for row, m in zip(action, chosen):
+    for row, m in zip(action, chosen, strict=True):
         step, target, column = pairs.step[m], pairs.target[m], pairs.column[m]
         base = {"target": chunk.next_pose[target, column], "current": chunk.pose[step, column]}
         base = base.get(mode, np.full(84, np.nan))[:47].astype(float)
@@ -199,7 +218,8 @@ def test_the_loss_is_equation_17():
     weight = torch.rand(10, generator=generator)
     config = SBCConfig()
     slow = sum(
-        float(g) * sum((a - m) ** 2 for a, m in zip(row.tolist(), own.tolist())) for g, row, own in zip(weight, action, mean)
+        float(g) * sum((a - m) ** 2 for a, m in zip(row.tolist(), own.tolist(), strict=True))
+        for g, row, own in zip(weight, action, mean, strict=True)
     )
     assert sbc.sbc_loss(mean, action, weight, config).item() == pytest.approx(0.533 * slow, rel=1e-5)
     config = replace(config, reduction="mean", weight=2.0)

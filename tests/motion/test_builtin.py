@@ -73,7 +73,9 @@ def lowest(clip):
     blade = np.linspace(0, 1.04, 12)[:, None] * [1, 0, 0]
     return {
         "feet": min(corners(clip, side)[..., 2].min() for side in ("right", "left")),
-        "shins": min(points(clip, f"{s}_shin", [[0, 0, 0], [0, 0, -0.3]])[..., 2].min() - 0.05 for s in ("right", "left")),
+        "shins": min(
+            points(clip, f"{side}_shin", [[0, 0, 0], [0, 0, -0.3]])[..., 2].min() - 0.05 for side in ("right", "left")
+        ),
         "hands": min(points(clip, f"{side}_hand", [0, 0, 0])[..., 2].min() - 0.04 for side in ("right", "left")),
         "sword": points(clip, "right_hand", blade)[..., 2].min(),
         "shield": points(clip, "shield", rim)[..., 2].min(),

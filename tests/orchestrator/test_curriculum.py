@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import reference
 from hypothesis import given
 from hypothesis import strategies as st
 
-import reference
 from orchestrator.config import CurriculumConfig
 from orchestrator.curriculum import CurriculumState, final_tightenings, observe, thresholds
 from workers.config import ReachConfig
@@ -15,43 +15,50 @@ from workers.types import FELL, REACHED, TIMED_OUT
 
 
 class Ended(SimpleNamespace):
-    """The only thing that the curriculum reads of outcomes: how episodes ended, in order."""
+    """What the curriculum reads of outcomes: how episodes ended, the cuts of what judged them, whose tasks were kept."""
 
     def __len__(self):
         return len(self.end)
 
+    def take(self, which):
+        return Ended(**{name: array[which] for name, array in vars(self).items()})
 
-def outcomes(hits, seed=0):
-    """Episodes that reached (True) or failed one way or the other."""
+
+def outcomes(hits, tightenings=0, seed=0, retained=None):
+    """Episodes that reached (True) or failed one way or the other, under thresholds that had been cut so often."""
+    retained = np.zeros(len(hits), dtype=bool) if retained is None else retained
     failed = np.random.default_rng(seed).choice([FELL, TIMED_OUT], len(hits))
-    return Ended(end=np.where(np.array(hits, dtype=bool), REACHED, failed).astype(np.int8))
+    end = np.where(np.array(hits, dtype=bool), REACHED, failed).astype(np.int8)
+    return Ended(end=end, tightenings=np.full(len(hits), tightenings), retained=retained)
 
 
-def values(config, state, reach=ReachConfig()):
-    limits = thresholds(config, reach, state.tightenings)
+def values(config, state):
+    limits = thresholds(config, ReachConfig(), state.tightenings)
     return limits.root_position, limits.key_bodies, limits.joint_rotation
 
 
 @pytest.mark.parametrize("unit", ["iterations", "episodes"])
 @given(
-    seed=st.integers(0, 2**32 - 1), window=st.sampled_from([1, 3, 10, 100]), rate=st.sampled_from([0.5, 0.87, 0.93, 1.0]),
-    iterations=st.sampled_from([5, 150]),
+    seed=st.integers(0, 2**32 - 1), window=st.sampled_from([1, 3, 10, 100]), lag=st.sampled_from([0, 1]),
+    rate=st.sampled_from([0.5, 0.87, 0.93, 1.0]), iterations=st.sampled_from([5, 150]), count_retained=st.booleans(),
 )  # fmt: skip
-def test_any_sequence_of_outcomes_gives_the_references_thresholds(unit, seed, window, rate, iterations):
+def test_any_sequence_of_outcomes_gives_the_references_thresholds(
+    unit, seed, window, lag, rate, iterations, count_retained
+):
+    """lag: `pipeline_depth`, by which outcomes are judged with thresholds one iteration older."""
     generator = np.random.default_rng(seed)
-    config = CurriculumConfig(window=window, window_unit=unit)
-    state, slow = CurriculumState(), reference.Curriculum(window)
+    config = CurriculumConfig(window=window, window_unit=unit, count_retained=count_retained)
+    state, slow, cuts = CurriculumState(), reference.Curriculum(window, unit), [0]
     for iteration in range(iterations):
         hits = generator.random(generator.integers(0, 30)) < rate  # also none at all
-        state = observe(state, config, outcomes(hits, iteration))
-        if unit == "iterations":
-            slow.add(int(hits.sum()), len(hits))
-        else:
-            for hit in hits:
-                slow.add(int(hit), 1)
+        retained = generator.random(len(hits)) < 0.3
+        judged_by = cuts[max(0, iteration - lag)]
+        state = observe(state, config, outcomes(hits, judged_by, iteration, retained))
+        slow.iteration(hits if count_retained else hits[~retained], judged_by)
+        cuts.append(state.tightenings)
         assert state.tightenings == slow.tightenings
         assert values(config, state) == pytest.approx(slow.thresholds, rel=1e-12)
-        assert list(state.window) == slow.results
+        assert list(state.window) == slow.results or state.tightenings == 34
         assert state.iteration == iteration + 1
 
 
@@ -62,36 +69,40 @@ def test_the_achievement_rate_is_over_the_windows_episodes_not_a_mean_of_rates()
     assert observe(state, config, outcomes([False])).tightenings == 1
 
 
+def run(config, hits):
+    """The state after iterations of one episode each, always judged by the thresholds in force; and the cuts so far."""
+    state, cuts = CurriculumState(), []
+    for hit in hits:
+        state = observe(state, config, outcomes([hit], state.tightenings))
+        cuts.append(state.tightenings)
+    return state, cuts
+
+
 @pytest.mark.parametrize("unit", ["iterations", "episodes"])
 def test_the_rate_must_exceed_88_percent_over_a_full_window(unit):
     config = CurriculumConfig(window=100, window_unit=unit)
-
-    def run(hits):
-        state = CurriculumState()
-        for hit in hits:
-            state = observe(state, config, outcomes([hit]))
-        return state.tightenings
-
-    assert run([True] * 99) == 0
-    assert run([True] * 100) == 1
-    assert run([False] * 12 + [True] * 88) == 0
-    assert run([False] * 11 + [True] * 89) == 1
+    assert run(config, [True] * 99)[0].tightenings == 0
+    assert run(config, [True] * 100)[0].tightenings == 1
+    assert run(config, [False] * 12 + [True] * 88)[0].tightenings == 0
+    assert run(config, [False] * 11 + [True] * 89)[0].tightenings == 1
     # the window slides: failures that have left it are forgotten
-    assert run([False] * 12 + [True] * 89) == 1
+    assert run(config, [False] * 12 + [True] * 89)[0].tightenings == 1
 
 
 @pytest.mark.parametrize("unit", ["iterations", "episodes"])
 def test_the_window_starts_again_after_every_tightening(unit):
-    config, state, cuts = CurriculumConfig(window=4, window_unit=unit), CurriculumState(), []
-    for _ in range(12):
-        state = observe(state, config, outcomes([True]))
-        cuts.append(state.tightenings)
+    _, cuts = run(CurriculumConfig(window=4, window_unit=unit), [True] * 12)
     assert cuts == [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3]
 
 
-def test_an_iteration_of_many_episodes_may_tighten_more_than_once():
-    config = CurriculumConfig(window=10, window_unit="episodes")
-    assert observe(CurriculumState(), config, outcomes([True] * 35)).tightenings == 3
+@pytest.mark.parametrize("unit", ["iterations", "episodes"])
+def test_episodes_judged_by_looser_thresholds_do_not_count_in_the_new_window(unit):
+    config = CurriculumConfig(window=10, window_unit=unit)
+    state = CurriculumState(tightenings=1)
+    late = observe(state, config, outcomes([True] * 35, tightenings=0))
+    assert (late.window, late.tightenings, late.iteration) == ((), 1, 1)
+    # and in one iteration the thresholds are cut once at most: what follows in it was not judged by the new ones
+    assert observe(state, CurriculumConfig(window=1, window_unit=unit), outcomes([True] * 35, 1)).tightenings == 2
 
 
 def test_34_tightenings_lead_from_the_start_to_the_final_accuracy():
@@ -101,14 +112,14 @@ def test_34_tightenings_lead_from_the_start_to_the_final_accuracy():
     assert values(config, state) == reference.START
     seen = [values(config, state)]
     while state.iteration < 4000 and state.achieved_at is None:
-        state = observe(state, config, outcomes([True]))
+        state = observe(state, config, outcomes([True], state.tightenings))
         seen.append(values(config, state))
     assert state.achieved_at == state.iteration == 34 * 100
     assert seen[-1] == reference.FLOOR and seen[-2] != reference.FLOOR
     assert (np.diff(np.array(seen), axis=0) <= 0).all()
     # and there they stay
     for _ in range(250):
-        state = observe(state, config, outcomes([True]))
+        state = observe(state, config, outcomes([True], 34))
     assert (state.tightenings, state.achieved_at) == (34, 3400)
     assert values(config, state) == reference.FLOOR
 

@@ -23,7 +23,7 @@ def grid_of(cancel, rotation=(-math.pi / 2, math.pi / 2), **config):
     return task_grid(library, EvaluationConfig(**config))
 
 
-# ------------------------------------------------------------------------------------------------------------ the grid
+# ---------------------------------------------------------------------------------------------------------- the grid
 
 
 def test_the_papers_set_has_460278_tasks():
@@ -31,12 +31,12 @@ def test_the_papers_set_has_460278_tasks():
     moments = [62] * 8 + [66]
     assert sum(moments) == 562
     starts = np.linspace(0.1, 1.7, 9)
-    grid = grid_of([(start, start + 0.03 * (n - 1)) for start, n in zip(starts, moments)])
+    grid = grid_of([(start, start + 0.03 * (n - 1)) for start, n in zip(starts, moments, strict=True)])
     assert grid.shape == (460_278, 4)
     angles = np.unique(grid[:, 3].round(9))
     assert len(angles) == 91
     np.testing.assert_allclose(angles, np.radians(np.arange(-90, 91, 2)), atol=1e-8)
-    for source, (start, n) in enumerate(zip(starts, moments)):
+    for source, (start, n) in enumerate(zip(starts, moments, strict=True)):
         own = grid[grid[:, 0] == source]
         assert len(own) == 9 * n * 91
         assert own[:, 1].min() == pytest.approx(start) and own[:, 1].max() == pytest.approx(start + 0.03 * (n - 1))
@@ -69,7 +69,7 @@ def test_max_tasks_takes_the_same_spread_of_the_grid_every_time(library):
     assert len(task_grid(library, EvaluationConfig(max_tasks=10**9))) == len(whole)
 
 
-# -------------------------------------------------------------------------------------------------------------- episodes
+# ---------------------------------------------------------------------------------------------------------- episodes
 
 
 @pytest.fixture(scope="module")
@@ -114,13 +114,14 @@ def test_an_evaluation_is_a_loop_over_single_episodes(library, make_config, noth
         env.task[0] = task
         env.begin(np.array([0]))
         returned = np.zeros(len(REWARD_PARTS))
-        for step in range(1, 61):
+        env.end[0] = 0
+        steps = 0
+        while env.end[0] == 0:
             env.step(np.zeros((1, 31), np.float32), LIMITS)
             returned += env.parts[0]
-            if env.end[0]:
-                break
+            steps += 1
         assert (got.end[i], got.fell_on[i], got.steps[i], got.trembles[i]) == (
-            env.end[0], env.fell_on[0], step, env.trembles[0],
+            env.end[0], env.fell_on[0], steps, env.trembles[0],
         )  # fmt: skip
         np.testing.assert_array_equal(got.deviations[i], env.deviations[0])
         np.testing.assert_allclose(got.parts[i], returned, atol=1e-12)
@@ -150,7 +151,7 @@ def test_the_tables_columns_are_plain_means_over_the_episodes(library, make_conf
     sums = dict.fromkeys(("FRPD", "FRVD", "FRRD", "FKPD", "FJRD", "FJAD", "SURI", "TC", "TS", "TTAR", "Return"), 0.0)
     for i in range(len(episodes)):
         rp, rv, rq, kp, q, _, qv = episodes.deviations[i]
-        for name, value in zip(("FRPD", "FRVD", "FRRD", "FKPD", "FJRD", "FJAD"), (rp, rv, rq, kp, q, qv)):
+        for name, value in zip(("FRPD", "FRVD", "FRRD", "FKPD", "FJRD", "FJAD"), (rp, rv, rq, kp, q, qv), strict=True):
             sums[name] += value
         sums["SURI"] += episodes.parts[i][REWARD_PARTS.index("upper_body")] / 1.6
         sums["TC"] += episodes.trembles[i]
@@ -183,7 +184,8 @@ def test_ms_is_the_largest_noise_up_to_which_every_task_is_reached(reached, want
 def test_an_evaluation_has_the_papers_13_columns_at_both_accuracies(make_config, nothing):
     columns = "FRPD FRVD FRRD FKPD FJRD FJAD SURI TC TS MS TTAR IRFA Return".split()
     config = make_config({
-        "evaluation.max_tasks": 6, "curriculum.start": [9.0, 90.0, 9.0], "evaluation.robustness_log_sigmas": [-4.1, -3.7],
+        "evaluation.max_tasks": 6, "evaluation.robustness_log_sigmas": [-4.1, -3.7],
+        "curriculum.start": [9.0, 90.0, 9.0],
     })  # fmt: skip
     content = evaluate_policy(config, nothing, tightenings=0, irfa=None)
     assert sorted(content["metrics"]) == sorted(content["trained"]) == sorted(columns)

@@ -6,10 +6,10 @@ import json
 import pytest
 import ray
 
-from learner import checkpoint
-from orchestrator import runtime
+from learner import checkpoint, learner
 from orchestrator.run import load_latest, train
 from orchestrator.runtime import shares
+from workers.worker import RolloutWorker
 
 
 def lines(folder):
@@ -107,7 +107,7 @@ def test_environments_are_shared_out_evenly_and_completely():
 @pytest.mark.parametrize("depth", [0, 1])
 def test_chunk_k_is_collected_with_policy_and_thresholds_k_minus_depth(depth, configure, tmp_path, monkeypatch):
     versions, tightenings = [], []
-    update, collect = runtime.update, runtime.RolloutWorker.collect
+    update, collect = learner.update, RolloutWorker.collect
 
     def spied_update(state, chunks):
         versions.append((state.updates, chunks[0].version))
@@ -117,8 +117,8 @@ def test_chunk_k_is_collected_with_policy_and_thresholds_k_minus_depth(depth, co
         tightenings.append(thresholds.tightenings)
         return collect(self, state, policy, thresholds)
 
-    monkeypatch.setattr(runtime, "update", spied_update)
-    monkeypatch.setattr(runtime.RolloutWorker, "collect", spied_collect)
+    monkeypatch.setattr(learner, "update", spied_update)
+    monkeypatch.setattr(RolloutWorker, "collect", spied_collect)
     config = configure(pipeline_depth=depth)
     summary = train(config, tmp_path)
     assert versions == [(k, max(0, k - depth)) for k in range(5)]
@@ -126,6 +126,15 @@ def test_chunk_k_is_collected_with_policy_and_thresholds_k_minus_depth(depth, co
     assert [row["thresholds/tightenings"] for row in lines(tmp_path)] == tightenings
     assert tightenings[: depth + 1] == [0] * (depth + 1) and tightenings[-1] > 0
     assert summary["tightenings"] >= tightenings[-1]
+
+
+@pytest.mark.parametrize("depth", [0, 1])
+def test_the_window_after_a_tightening_holds_only_episodes_under_the_new_thresholds(depth, configure, tmp_path):
+    """Thresholds that all meet, then, after one cut, that nobody can meet: there is no second cut."""
+    config = configure(pipeline_depth=depth, **{
+        "curriculum.start": [50.0, 500.0, 50.0], "curriculum.floor": [1e-9] * 3, "curriculum.factor": 1e-6,
+    })  # fmt: skip
+    assert train(config, tmp_path)["tightenings"] == 1
 
 
 @pytest.mark.parametrize("depth", [0, 1])
@@ -169,8 +178,8 @@ def test_the_checkpoint_holds_what_load_latest_says(finished):
     folder, _ = finished
     content, path = load_latest(folder)
     assert path == checkpoint.paths(folder / "checkpoints")[-1] and path.stem == "00000005"
-    learner, curriculum = content["parts"]
-    assert learner["updates"] == curriculum.iteration == content["iteration"] == 5
+    saved, curriculum = content["parts"]
+    assert saved["updates"] == curriculum.iteration == content["iteration"] == 5
     assert [policy.version for policy in content["policies"]] == [4, 5]
     assert len(content["thresholds"]) == 2 and content["workers"][0].clock == 40
     assert dataclasses.is_dataclass(content["workers"][0])

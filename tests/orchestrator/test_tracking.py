@@ -12,8 +12,7 @@ from orchestrator import mlflow_store
 from orchestrator.folder import prepare
 from orchestrator.mlflow_store import RunSpec
 from orchestrator.settings import build, command_line
-from orchestrator.tracking import Tracker
-from orchestrator.trial import run_spec
+from orchestrator.tracking import Tracker, run_spec
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,10 @@ import json
 import pytest
 
 from orchestrator import folder, trial
+from orchestrator.progress import EVALUATING
 from orchestrator.settings import build, command_line
-from orchestrator.trial import EVALUATING, Throttle, Tracking, execute, reason
+from orchestrator.tracking import Tracking
+from orchestrator.trial import Throttle, execute, reason
 
 NOWHERE = Tracking(None, "none")
 
@@ -69,3 +71,11 @@ def test_reports_are_rare_but_the_first_and_last_are_not_lost(monkeypatch):
 def test_final_metrics_have_stable_names():
     content = {"metrics": {"FRPD": 1.0, "MS": None}, "trained": {"FRPD": 2.0}}
     assert trial.evaluation_metrics(content) == {"eval/FRPD": 1.0, "eval/MS": None, "trained/FRPD": 2.0}
+
+
+def test_the_reason_is_the_cause_and_not_rays_wrapping():
+    class ActorDiedError(Exception):
+        __module__ = "ray.exceptions"
+
+    wrapped = ActorDiedError("The actor died, \x1b[36mray::X()\x1b[39m (pid=1)\n  File ...\nImportError: no module x\n")
+    assert reason(wrapped) == "ImportError: no module x"

@@ -5,19 +5,19 @@ import math
 import mujoco
 import numpy as np
 import pytest
+import reference
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-import reference
 from motion import rotations, skeleton
 from workers.action import ABSOLUTE, CURRENT, MODES, TARGET, act_batch, control, decode, encode
 
 seeds = st.integers(0, 2**32 - 1)
 BALLS = [
-    slice(start, start + 3) for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF) if joint.dof == 3
+    slice(start, start + 3) for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF, strict=True) if joint.dof == 3
 ]
-HINGES = [start for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF) if joint.dof == 1]
+HINGES = [start for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF, strict=True) if joint.dof == 1]
 
 
 def out_of(function, *arguments):
@@ -67,7 +67,7 @@ def test_an_offset_turns_the_base_in_the_joints_own_frame(seed, random_pose):
     action = coordinates(seed, 1.0)
     got = out_of(decode, action, base, 0.5, False)
     joints, angles = reference.joint_rotations(base), reference.hinge_angles(base)
-    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF):
+    for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF, strict=True):
         if joint.dof == 3:
             part = slice(start, start + 3)
             wanted = joints[joint.name] * Rotation.from_rotvec(0.5 * action[part])

@@ -5,8 +5,8 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
-
 import reference
+
 from motion import skeleton
 from workers.config import PhysicsConfig
 from workers.humanoid import EXCLUDED, build_model
@@ -97,7 +97,7 @@ def test_every_body_touches_the_floor_and_the_body_itself_but_for_the_excluded_p
 
 def test_joint_limits_hold_every_frame_of_the_clips(model, all_clips):
     for clip in all_clips:
-        for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF):
+        for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF, strict=True):
             own = model.joint(joint.name)
             if not model.jnt_limited[own.id]:
                 continue

@@ -21,7 +21,7 @@ def test_the_mean_is_torchs(hidden, make_policy):
     x = observations(50)
     y = np.clip((x - policy.observation_mean) * policy.observation_scale, -10, 10)
     y = torch.from_numpy(y)
-    for i, (weight, bias) in enumerate(zip(policy.weights, policy.biases)):
+    for i, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
         y = y @ torch.from_numpy(weight) + torch.from_numpy(bias)
         y = torch.relu(y) if i < len(policy.weights) - 1 else y
     np.testing.assert_allclose(PolicyNetwork(policy, 50).mean(x), y, rtol=1e-4, atol=1e-4)

@@ -5,11 +5,11 @@ import math
 import mujoco
 import numpy as np
 import pytest
+import reference
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-import reference
 from motion import skeleton
 from workers import kinematics
 
@@ -28,7 +28,7 @@ def assert_same_rotation(a, b):
 
 def test_the_skeleton_is_the_specs_table():
     assert skeleton.BODY_NAMES == tuple(row[0] for row in reference.FIGURE)
-    for body, (_, parent, offset, *_) in zip(skeleton.BODIES, reference.FIGURE):
+    for body, (_, parent, offset, *_) in zip(skeleton.BODIES, reference.FIGURE, strict=True):
         assert (skeleton.BODY_NAMES[body.parent] if body.parent >= 0 else None) == parent
         assert body.offset == tuple(map(float, offset))
     assert [(j.name, "ball" if j.dof == 3 else "hinge", j.chain) for j in skeleton.JOINTS] == reference.JOINTS

@@ -19,7 +19,14 @@ def assert_samples_are_the_clips(library, clips):
     generator = np.random.default_rng(0)
     for i, clip in enumerate(clips):
         frames = np.arange(clip.frames) / clip.fps
-        times = [*frames[:3], frames[-2], clip.duration, -1.0, clip.duration + 5, *generator.uniform(0, clip.duration, 50)]
+        times = [
+            *frames[:3],
+            frames[-2],
+            clip.duration,
+            -1.0,
+            clip.duration + 5,
+            *generator.uniform(0, clip.duration, 50),
+        ]
         for time in times:
             qpos, qvel = sampled(library, i, time)
             wanted_qpos, wanted_qvel = clip.sample(time)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+import reference
 from hypothesis import given
 from hypothesis import strategies as st
 
-import reference
 from workers.observation import OBSERVATION_SIZE, POSE_SIZE, TARGET_SIZE, observe_batch
 
 seeds = st.integers(0, 2**32 - 1)
@@ -54,7 +54,9 @@ def test_the_observation_is_the_references_on_frames_of_clips(clip_poses, observ
 
 
 @given(seed=seeds, angle=st.floats(-3.14, 3.14), x=st.floats(-50, 50), y=st.floats(-50, 50))
-def test_turning_and_shifting_the_world_with_character_and_target_changes_nothing(seed, angle, x, y, random_pose, observe):
+def test_turning_and_shifting_the_world_with_character_and_target_changes_nothing(
+    seed, angle, x, y, random_pose, observe
+):
     pose, target = random_pose([seed, 0]), random_pose([seed, 1])
     before = observe(*(array[None] for array in (*pose, *target)))
     other = (*moved(*pose, angle, (x, y)), *moved(*target, angle, (x, y)))

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+import reference
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-import reference
 from workers.environment import Environment
 from workers.planner import begin, draw_task, ground, place_target
 from workers.rollout import Rollout
@@ -95,28 +95,32 @@ def begun(library, task, from_source=True):
     return qpos, qvel, target_qpos, target_qvel, bodies, rotations
 
 
-def test_a_task_begins_in_the_sources_pose_and_its_target_is_placed_from_there(machine, library, tasks, bodies_of):
-    for task in tasks[:60]:
-        source, target = machine.states[int(task[0])], machine.states[int(task[2])]
+@pytest.mark.parametrize("which", ["library", "real_library"])
+def test_a_task_begins_in_the_sources_pose_and_its_target_is_placed_from_there(which, all_clips, bodies_of, request):
+    library = request.getfixturevalue(which)
+    clips = all_clips[:3] if which == "library" else all_clips[3:]
+    for task in tasks_of(library, 60):
+        source, target = int(task[0]), int(task[2])
         qpos, qvel, target_qpos, target_qvel, bodies, rotations = begun(library, task)
-        clip_qpos, clip_qvel = source.clip.sample(task[1])
+        clip_qpos, clip_qvel = clips[source].sample(task[1])
         # the world is the figure's: it starts at the origin, only lifted out of the ground
         np.testing.assert_allclose(qpos[3:], clip_qpos[3:], atol=1e-12)
         np.testing.assert_array_equal(qpos[:2], 0.0)
         assert qpos[2] >= clip_qpos[2] - 1e-12
         np.testing.assert_allclose(qvel, clip_qvel, atol=1e-12)
-        start_qpos, start_qvel = target.clip.sample(target.start)
+        start_qpos, start_qvel = clips[target].sample(library.start[target])
         wanted = reference.placed_target(qpos, qvel, start_qpos, start_qvel, task[3])
         np.testing.assert_allclose(target_qpos, wanted[0], atol=1e-9)
         np.testing.assert_allclose(target_qvel, wanted[1], atol=1e-9)
-        for pose, body, rotation in zip((qpos, target_qpos), bodies, rotations):
+        for pose, body, rotation in zip((qpos, target_qpos), bodies, rotations, strict=True):
             np.testing.assert_allclose(body, bodies_of(pose[None])[0][0], atol=1e-12)
             np.testing.assert_allclose(rotation, bodies_of(pose[None])[1][0], atol=1e-12)
 
 
-def test_no_source_pose_begins_below_the_ground(library, tasks, bodies_of):
-    heights = []
-    for task in tasks[:500]:
+@pytest.mark.parametrize("which", ["library", "real_library"])
+def test_no_source_pose_begins_below_the_ground(which, request):
+    library, heights = request.getfixturevalue(which), []
+    for task in tasks_of(library, 500):
         _, _, _, _, bodies, rotations = begun(library, task)
         heights.append(lowest(bodies[0], rotations[0], EVERYTHING)[0])
     assert min(heights) > -1e-12

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import reference
 from hypothesis import given
 from hypothesis import strategies as st
 
-import reference
 from workers import reward
 from workers.config import RewardConfig
 from workers.environment import Environment
@@ -40,14 +40,16 @@ def as_row(d):
 def weighted(joints):
     """The reference's mean over the upper body of w_u times each joint's number, of (13,) numbers."""
     names = [name for name, _, _ in reference.JOINTS]
-    return reference.weighted_mean(dict(zip(names, joints)), reference.UPPER)
+    return reference.weighted_mean(dict(zip(names, joints, strict=True)), reference.UPPER)
 
 
-def parts_of(before, after, joints_before, joints_after, changes, trembles, end, penalty=True, tremble=True, failure=-3.0):
+def parts_of(
+    before, after, joints_before, joints_after, changes, trembles, end, penalty=True, tremble=True, failure=-3.0
+):
     out = np.full(len(REWARD_PARTS), np.nan)
     share = 1.0 if tremble else 0.0
     reward.reward(before, after, joints_before, joints_after, changes, trembles, end, penalty, share, failure, out)
-    return dict(zip(REWARD_PARTS, out))
+    return dict(zip(REWARD_PARTS, out, strict=True))
 
 
 @pytest.mark.parametrize("frame", ["common", "own"])
@@ -174,8 +176,8 @@ def test_improvements_add_up_to_the_first_minus_the_last_deviation(penalty, fram
     for _ in range(steps):
         joints = env.joints.copy()
         env.step(generator.normal(size=(n, 31)).astype(np.float32) * 0.3, NEVER)
-        losses += [weighted(np.maximum(now - then, 0)) for now, then in zip(env.joints, joints)]
-    totals = SimpleNamespace(**dict(zip(REWARD_PARTS, env.totals.T)))
+        losses += [weighted(np.maximum(now - then, 0)) for now, then in zip(env.joints, joints, strict=True)]
+    totals = SimpleNamespace(**dict(zip(REWARD_PARTS, env.totals.T, strict=True)))
     gain = first - env.deviations
     np.testing.assert_allclose(totals.root_position, 2.4 * gain[:, reward.RP], atol=1e-9)
     np.testing.assert_allclose(totals.root_velocity, 0.1 * gain[:, reward.RV], atol=1e-9)

@@ -1,6 +1,7 @@
 """`collect` is pure, and an environment's numbers are its own: batch, threads and other environments do not matter."""
 
 import copy
+import itertools
 
 import numpy as np
 import pytest
@@ -22,7 +23,9 @@ def collected(rollout, state, chunks, make_policy, thresholds):
     return out, state
 
 
-def test_collecting_twice_gives_the_same_bits_and_leaves_its_arguments(trajectories, make_policy, easy, assert_same_bits):
+def test_collecting_twice_gives_the_same_bits_and_leaves_its_arguments(
+    trajectories, make_policy, easy, assert_same_bits
+):
     state, policy = trajectories.states[1], make_policy(version=1)
     arguments = copy.deepcopy((state, policy, easy))
     first = trajectories.rollout.collect(state, policy, easy)
@@ -52,7 +55,7 @@ def test_an_environment_of_a_batch_of_64_equals_the_same_one_alone(
     ended = 0
     for i in (0, 1, 7, 8, 31, 63):
         single, state = collected(alone, alone.initial_state(i), 5, make_policy, easy)
-        for chunk, whole in zip(single, together):
+        for chunk, whole in zip(single, together, strict=True):
             assert_same_bits(chunk, columns(whole, [i]))
             ended += len(chunk.outcomes)
         for name, array in vars(state).items():
@@ -90,9 +93,9 @@ def test_a_chunk_has_the_documented_shapes_and_types(trajectories):
             assert (array.shape, array.dtype) == (shape, np.dtype(dtype)), name
             assert np.isfinite(array).all(), name
         outcomes = {
-            "clock": ((), "int64"), "environment": ((), "int64"), "task": ((4,), "float64"), "end": ((), "int8"),
-            "fell_on": ((), "int16"), "steps": ((), "int64"), "trembles": ((), "int64"), "parts": ((7,), "float64"),
-            "deviations": ((7,), "float64"),
+            "clock": ((), "int64"), "environment": ((), "int64"), "task": ((4,), "float64"), "retained": ((), "bool"), "end": ((), "int8"),
+            "fell_on": ((), "int16"), "tightenings": ((), "int64"), "steps": ((), "int64"), "trembles": ((), "int64"),
+            "parts": ((7,), "float64"), "deviations": ((7,), "float64"),
         }  # fmt: skip
         for name, (shape, dtype) in outcomes.items():
             array = getattr(chunk.outcomes, name)
@@ -111,7 +114,7 @@ def test_a_pose_goes_on_where_no_episode_ended_and_jumps_where_one_did(trajector
         going = chunk.end[:-1] == CONTINUES
         np.testing.assert_array_equal(chunk.pose[1:][going], chunk.next_pose[:-1][going])
         assert (chunk.pose[1:][~going] != chunk.next_pose[:-1][~going]).any(axis=-1).all()
-    for one, other in zip(trajectories.chunks, trajectories.chunks[1:]):
+    for one, other in itertools.pairwise(trajectories.chunks):
         going = one.end[-1] == CONTINUES
         np.testing.assert_array_equal(other.pose[0][going], one.next_pose[-1][going])
 
@@ -125,13 +128,15 @@ def test_the_pose_that_an_episode_ended_in_is_kept(trajectories):
         np.testing.assert_allclose(observation[:, 0], pose[:, 2])  # root height
         np.testing.assert_allclose(observation[:, 91:122], pose[:, 47 + 6 :])  # joint velocities
         # the target's root position in the heading frame is as long as d^rp
-        np.testing.assert_allclose(np.linalg.norm(observation[:, 140:143], axis=1), chunk.outcomes.deviations[:, 0], rtol=1e-4)
+        np.testing.assert_allclose(
+            np.linalg.norm(observation[:, 140:143], axis=1), chunk.outcomes.deviations[:, 0], rtol=1e-4
+        )
         np.testing.assert_array_equal(chunk.outcomes.environment, chunk.environment[at[1]])
         np.testing.assert_array_equal(chunk.outcomes.end, chunk.end[at])
 
 
 def test_the_last_observation_is_what_the_next_chunk_begins_with(trajectories):
-    for one, other in zip(trajectories.chunks, trajectories.chunks[1:]):
+    for one, other in itertools.pairwise(trajectories.chunks):
         np.testing.assert_allclose(one.last_observation, other.observation[0], atol=1e-6)
 
 
