@@ -1,6 +1,11 @@
 """Proximal policy optimisation with a Gaussian policy of fixed deviation (section 5)."""
 
+import math
+
 import torch
+
+_LOG_LIMIT = 20.0  # of any log ratio
+_LOG_WEIGHT = math.log(2.0)  # of the weight of a sample in the pipelined loss
 
 
 def log_probability(action, mean, sigma):
@@ -15,11 +20,13 @@ def policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip):
     With pipeline_depth = 0 the two are the same and this is PPO. With depth 1 the acting policy is one update older;
     clipping around it would stop the gradient of samples that the last update has already moved, so the ratio is
     clipped around the anchor and weighted by anchor / acting (decoupled PPO: Hilton et al., "Batch size-invariance for
-    policy optimization", 2022).
+    policy optimization", 2022). The weight is truncated at 2: a sample that the acting policy hardly knew counts no
+    more than twice, one that the learner has given up hardly at all.
     """
     anchor = log_probability(action, anchor_mean, sigma)
-    weight = torch.exp(anchor - log_probability(action, acting_mean, sigma))
-    ratio = torch.exp(log_probability(action, mean, sigma) - anchor)
+    weight = torch.exp((anchor - log_probability(action, acting_mean, sigma)).clamp(-_LOG_LIMIT, _LOG_WEIGHT))
+    # clamped before the exponential: infinity times a clipped gradient of zero would be NaN
+    ratio = torch.exp((log_probability(action, mean, sigma) - anchor).clamp(-_LOG_LIMIT, _LOG_LIMIT))
     loss = -(weight * torch.min(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage)).mean()
     with torch.no_grad():
         divergence = ((mean - anchor_mean) ** 2).sum(dim=-1).mean() / (2 * sigma**2)

@@ -109,6 +109,12 @@ def update(state, chunks):
                 divergence_sum += divergence
             steps += 1
     metrics = {name: float(total) / steps for name, total in sums.items()}
+    wrong = [name for name, number in metrics.items() if not math.isfinite(number)]
+    if wrong:
+        raise FloatingPointError(
+            f"update {state.updates}: {', '.join(wrong)} not finite; continue from the last checkpoint with a smaller "
+            "ppo.learning_rate or ppo.max_grad_norm"
+        )
     metrics["policy/learning_rate"] = state.learning_rate
     metrics["value/error"] = value_error
     metrics["sbc/valid_pairs"] = demonstrator.valid_share

@@ -19,6 +19,7 @@ from learner.update import LearnerState
 from motion.formats import read_clip
 from motion.state_machine import ClipConfig, MotionsConfig, State, StateMachine, build_state_machine
 from orchestrator.config import Config
+from workers.config import PhysicsConfig
 from workers.humanoid import build_model
 from workers.kinematics import forward_kinematics_batch
 from workers.library import build_library
@@ -89,7 +90,7 @@ def clip_poses(all_clips):
 @pytest.fixture(scope="session")
 def model():
     """The figure's MuJoCo model."""
-    return build_model()
+    return build_model(PhysicsConfig())
 
 
 # ------------------------------------------------------------------------------------------------------ random poses

@@ -144,6 +144,8 @@ class Environment:
         self._batch.warning[:] = 0
         self._batch.step(ids, nstep=self._substeps)
         diverged = self._batch.warning[:, _DIVERGED, 1].any(axis=1)
+        # MuJoCo looks at the start of a step: what the last substep did is seen here
+        diverged |= ~(np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1))
         if diverged.any():
             self.qpos[diverged], self.qvel[diverged] = last_qpos[diverged], last_qvel[diverged]
         switches = self.config.reward

@@ -73,6 +73,19 @@ def test_the_gradient_vanishes_where_the_ratio_is_clipped():
         assert clipped == 1.0 and (gradient.abs().max() > 0) == moves
 
 
+@pytest.mark.parametrize("advantage", [1.0, -1.0])
+@pytest.mark.parametrize("lag", [0.15, 0.5])
+def test_an_anchor_far_from_the_acting_policy_leaves_loss_and_gradient_finite(lag, advantage):
+    """The first update's normalizer alone moves the mean that far; the true terms are of order one."""
+    sigma = math.exp(-2.9)
+    acting_mean, anchor_mean = torch.zeros(1, 31), torch.full((1, 31), lag)
+    action = sigma * torch.randn(1, 31, generator=torch.Generator().manual_seed(0))
+    mean = torch.full((1, 31), 0.01, requires_grad=True)
+    loss, _, _ = ppo.policy_loss(mean, action, acting_mean, anchor_mean, torch.tensor([advantage]), sigma, 0.2)
+    (gradient,) = torch.autograd.grad(loss, mean)
+    assert loss.isfinite() and gradient.isfinite().all()
+
+
 @pytest.fixture
 def spied(monkeypatch):
     """The arguments of the loss in the updates that the test makes, a dict of arrays per minibatch."""

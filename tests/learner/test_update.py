@@ -169,6 +169,21 @@ def test_the_learning_rate_in_use_is_the_adapted_one(lessons, make_config):
     assert state.value_optimizer.param_groups[0]["lr"] == 3e-4
 
 
+def test_the_first_updates_of_a_pipeline_leave_the_weights_finite(library, make_config, easy):
+    """Both chunks come from the initial policy, which saw observations unscaled, at the paper's sigma."""
+    config = make_config({
+        "network.hidden": [256, 128], "policy.log_sigma": -2.9, "ppo.minibatch_size": 512, "ppo.epochs": 4,
+    })  # fmt: skip
+    rollout = Rollout(config, library, 128, 16, seed=1)
+    state, worker = learner(config), rollout.initial_state(0)
+    policy = state.snapshot()
+    for _ in range(2):
+        chunk, worker = rollout.collect(worker, policy, easy)
+        state, metrics = update(state, [chunk])
+        assert np.isfinite(list(metrics.values())).all(), metrics
+        assert all(np.isfinite(weight).all() for weight in state.snapshot().weights)
+
+
 # ------------------------------------------------------------------------------------------------------------ learning
 
 

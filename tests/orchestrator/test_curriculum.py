@@ -15,7 +15,7 @@ from workers.types import FELL, REACHED, TIMED_OUT
 
 
 class Ended(SimpleNamespace):
-    """What the curriculum reads of outcomes: how episodes ended, the cuts of what judged them, whose tasks were kept."""
+    """What the curriculum reads of outcomes: ends, cuts of the thresholds that judged them, whose task was kept."""
 
     def __len__(self):
         return len(self.end)

@@ -172,13 +172,16 @@ def test_a_reached_task_is_never_kept(library, make_config):
 def test_rollouts_keep_tasks_after_failures_only(library, make_config, make_policy, easy):
     rollout = Rollout(make_config({"task.max_steps": 5}), library, 64, 24, seed=9)
     state = rollout.initial_state(0)
-    chunk, _ = rollout.collect(state, make_policy(), easy)
+    assert not state.retained.any()
+    chunk, after = rollout.collect(state, make_policy(), easy)
     kept, changed = {REACHED: 0, FELL: 0, TIMED_OUT: 0}, {REACHED: 0, FELL: 0, TIMED_OUT: 0}
     for environment in range(64):
         mine = chunk.outcomes.take(np.flatnonzero(chunk.outcomes.environment == environment))
         for i in range(len(mine) - 1):
             same = (mine.task[i] == mine.task[i + 1]).all()
             (kept if same else changed)[int(mine.end[i])] += 1
+            assert mine.retained[i + 1] == same
+        assert not mine.retained[0] and after.retained[environment] == (after.task[environment] == mine.task[-1]).all()
     assert kept[REACHED] == 0 and changed[REACHED] > 0
     failures = kept[FELL] + kept[TIMED_OUT], changed[FELL] + changed[TIMED_OUT]
     assert stats.binomtest(failures[0], sum(failures), 0.5).pvalue > 1e-4 and sum(failures) > 100

@@ -93,9 +93,9 @@ def test_a_chunk_has_the_documented_shapes_and_types(trajectories):
             assert (array.shape, array.dtype) == (shape, np.dtype(dtype)), name
             assert np.isfinite(array).all(), name
         outcomes = {
-            "clock": ((), "int64"), "environment": ((), "int64"), "task": ((4,), "float64"), "retained": ((), "bool"), "end": ((), "int8"),
-            "fell_on": ((), "int16"), "tightenings": ((), "int64"), "steps": ((), "int64"), "trembles": ((), "int64"),
-            "parts": ((7,), "float64"), "deviations": ((7,), "float64"),
+            "clock": ((), "int64"), "environment": ((), "int64"), "task": ((4,), "float64"), "retained": ((), "bool"),
+            "end": ((), "int8"), "fell_on": ((), "int16"), "tightenings": ((), "int64"), "steps": ((), "int64"),
+            "trembles": ((), "int64"), "parts": ((7,), "float64"), "deviations": ((7,), "float64"),
         }  # fmt: skip
         for name, (shape, dtype) in outcomes.items():
             array = getattr(chunk.outcomes, name)
