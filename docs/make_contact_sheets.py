@@ -5,18 +5,16 @@ Each clip has a row seen from the side (its right) and one in three-quarter view
 
 import argparse
 import io
-import sys
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-ROOT = Path(__file__).resolve().parent
 from motion import builtin, rotations, skeleton
+
+plt.switch_backend("Agg")  # no screen needed
+ROOT = Path(__file__).resolve().parent
 
 INDEX = skeleton.BODY_INDEX
 HEAD_TOP = np.array([0.0, 0.0, 0.175])

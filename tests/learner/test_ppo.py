@@ -31,7 +31,7 @@ def test_log_probabilities_differ_as_those_of_a_normal_distribution():
     lag=st.sampled_from([0.0, 0.03]),
 )  # fmt: skip
 def test_the_loss_is_the_clipped_surrogate_worked_out_row_by_row(seed, sigma, clip, lag):
-    """With a lag, the ratio is clipped around the anchor and weighted by anchor over acting policy."""
+    """With a lag, the ratio is clipped around the anchor and weighted by anchor over acting policy, at most 2."""
     mean, action, anchor_mean, advantage = batch(seed, spread=0.03)
     acting_mean = anchor_mean + lag * torch.randn(12, 31, generator=torch.Generator().manual_seed(seed + 1))
 
@@ -42,7 +42,7 @@ def test_the_loss_is_the_clipped_surrogate_worked_out_row_by_row(seed, sigma, cl
     for m, a, old, o, adv in zip(
         *(x.tolist() for x in (mean, action, acting_mean, anchor_mean, advantage)), strict=True
     ):
-        weight = math.exp(log_density(a, o) - log_density(a, old))
+        weight = min(math.exp(log_density(a, o) - log_density(a, old)), 2.0)
         ratio = math.exp(log_density(a, m) - log_density(a, o))
         total += weight * min(ratio * adv, min(max(ratio, 1 - clip), 1 + clip) * adv)
         divergence += sum((y - z) ** 2 for y, z in zip(m, o, strict=True)) / (2 * sigma**2)
