@@ -36,7 +36,11 @@ def build_config(overrides, **changes):
 
 
 def rollout_parts(config):
-    """(one chunk by `collect` on one thread, the same simulations' physics alone on n threads), as callables."""
+    """(one chunk by `collect` on one thread, the same physics alone on n threads), as callables.
+
+    Physics alone repeats the very steps of that chunk, from the recorded states before each: figures that are left to
+    themselves would lie on the floor soon, where a step costs more.
+    """
     library = build_library(build_state_machine(config.motions))
     rollout = Rollout(config, library, config.num_envs, config.horizon, config.seed, threads=1)
     policy = LearnerState(config, config.action, config.seed).snapshot()
@@ -49,18 +53,35 @@ def rollout_parts(config):
     def collect():
         rollout.collect(state, policy, limits)
 
+    recorded = record_states(rollout, collect)
+
     def physics(threads):
         batch = Batch(build_model(config.physics), config.num_envs, threads)
 
         def step():
-            batch.state[:] = state.physics
-            for _ in range(config.horizon):
+            for before in recorded:
+                batch.state[:] = before
                 batch.step(nstep=config.physics.substeps)
 
         step()
         return step
 
     return collect, physics
+
+
+def record_states(rollout, collect):
+    """MuJoCo's states (controls included) before each of the steps that `collect` does."""
+    batch, recorded = rollout._environment._batch, []
+    original = batch.step
+
+    def step(*arguments, **options):
+        recorded.append(batch.state.copy())
+        original(*arguments, **options)
+
+    batch.step = step
+    collect()
+    del batch.step
+    return recorded
 
 
 def seconds(call):
@@ -70,19 +91,22 @@ def seconds(call):
     return time.perf_counter() - start
 
 
-def training_rate(config, iterations=6):
-    """(samples/s of a run after its first iterations, peak memory in MB of this process and its descendants)."""
+def training_rate(config, iterations=10, measure_memory=False):
+    """(samples/s of a run by its median iteration, peak memory in MB of this process and its descendants, or 0)."""
     config = replace(config, budget=replace(config.budget, samples=None, iterations=iterations + 2))
-    times, memory = [], []
+    times, memory = [], [0.0]
     with tempfile.TemporaryDirectory() as folder:
 
         def note(metrics):
             times.append(time.perf_counter())
-            memory.append(proportional_memory())
+            if measure_memory:  # walks /proc, which takes a while
+                memory.append(proportional_memory())
 
         train(config, Path(folder), note)
+    time.sleep(2.0)  # actors that end would share the cores with what is measured next
     # the first iteration compiles and fills the pipeline, the last one has nothing to overlap with
-    return config.samples_per_iteration * iterations / (times[-2] - times[0]), max(memory)
+    iteration = statistics.median(b - a for a, b in zip(times[:-2], times[1:-1]))
+    return config.samples_per_iteration / iteration, max(memory)
 
 
 def proportional_memory():
@@ -130,7 +154,7 @@ def main():
         rates["train_ray"].append(training_rate(replace(config, runtime="ray", pipeline_depth=1))[0])
         rates["serial_ray"].append(training_rate(replace(config, runtime="ray", pipeline_depth=0))[0])
         rates["serial_local"].append(training_rate(replace(config, runtime="local", pipeline_depth=0))[0])
-    memory = training_rate(replace(config, runtime="ray", num_envs=512), iterations=3)[1]
+    memory = training_rate(replace(config, runtime="ray", num_envs=512), iterations=3, measure_memory=True)[1]
     rate = {name: statistics.median(values) for name, values in rates.items()}
     figures = {
         **{f"{name}_samples_per_second": round(value) for name, value in rate.items()},
