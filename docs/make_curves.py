@@ -1,0 +1,40 @@
+"""Learning curves of a sweep's runs from their metrics.jsonl: python docs/make_curves.py SWEEP_FOLDER OUT.png"""
+
+import json
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+plt.switch_backend("Agg")  # no screen needed
+
+PANELS = (
+    ("return/mean", "mean return"),
+    ("achievement", "achievement rate"),
+    ("thresholds/tightenings", "threshold tightenings (of 34)"),
+)
+SMOOTH = 5  # iterations of the running mean
+
+
+def main(folder, out):
+    """One panel per metric, one line per run."""
+    figure, axes = plt.subplots(1, len(PANELS), figsize=(12, 3.2), layout="constrained")
+    for path in sorted(Path(folder).glob("*/metrics.jsonl")):
+        lines = [json.loads(line) for line in path.read_text().splitlines()]
+        samples = np.array([line["samples"] for line in lines]) / 1e6
+        for axis, (key, title) in zip(axes, PANELS):
+            values = np.array([np.nan if line[key] is None else line[key] for line in lines], dtype=float)
+            if key != "thresholds/tightenings":
+                values = np.convolve(values, np.ones(SMOOTH) / SMOOTH, "valid")
+            axis.plot(samples[-len(values) :], values, label=path.parent.name)
+            axis.set(title=title, xlabel="samples (millions)")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].legend(frameon=False, fontsize=8)
+    figure.savefig(out, dpi=110)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
