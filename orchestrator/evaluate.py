@@ -30,11 +30,9 @@ from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
 from workers.kinematics import NUM_DOF
 from workers.library import build_library
+from workers.reward import W_UPPER_BODY
 from workers.rollout import outcomes
 from workers.types import REACHED, REWARD_PARTS, concatenate_outcomes
-
-# W of I^uq in Eq. 1, by which the reward's part is divided to give SURI
-_UPPER_BODY_WEIGHT = 1.6
 
 
 def run_tasks(config, library, policy, tasks, limits, log_sigma):
@@ -79,7 +77,8 @@ def table_metrics(episodes):
     d = episodes.deviations.mean(axis=0)
     return {
         "FRPD": d[0], "FRVD": d[1], "FRRD": d[2], "FKPD": d[3], "FJRD": d[4], "FJAD": d[6],
-        "SURI": episodes.parts[:, REWARD_PARTS.index("upper_body")].mean() / _UPPER_BODY_WEIGHT,
+        # the reward's part without its weight in Eq. 1
+        "SURI": episodes.parts[:, REWARD_PARTS.index("upper_body")].mean() / W_UPPER_BODY,
         "TC": episodes.trembles.mean(),
         "TS": episodes.steps.mean(),
         "TTAR": (episodes.end == REACHED).mean(),

@@ -23,7 +23,7 @@ from workers.kinematics import (
 from workers.types import DEVIATIONS, REACHED, REWARD_PARTS
 
 # Eq. 1
-_W_ROOT_POSITION, _W_ROOT_VELOCITY, _W_ROOT_ROTATION, _W_KEY_BODIES, _W_UPPER_BODY = 2.4, 0.1, 0.1, 0.3, 1.6
+_W_ROOT_POSITION, _W_ROOT_VELOCITY, _W_ROOT_ROTATION, _W_KEY_BODIES, W_UPPER_BODY = 2.4, 0.1, 0.1, 0.3, 1.6
 # Eq. 12
 _W_TREMBLE, _TREMBLE_THRESHOLD = -0.05, 100
 
@@ -148,7 +148,7 @@ def reward(before, after, joints_before, joints_after, changes, trembles, end, p
     parts[_ROOT_VELOCITY] = _W_ROOT_VELOCITY * (before[RV] - after[RV])
     parts[_ROOT_ROTATION] = _W_ROOT_ROTATION * (before[RQ] - after[RQ])
     parts[_KEYS] = _W_KEY_BODIES * (before[KP] - after[KP])
-    parts[_UPPER_BODY] = _W_UPPER_BODY * upper_body_improvement(joints_before, joints_after, penalty)
+    parts[_UPPER_BODY] = W_UPPER_BODY * upper_body_improvement(joints_before, joints_after, penalty)
     if end == REACHED:
         parts[END] = 3.0 + math.exp(-4.0 * after[LQ]) + math.exp(-0.2 * after[QV])  # Eq. 9
     elif end != 0:
