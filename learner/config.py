@@ -19,6 +19,14 @@ class PolicyConfig:
 
     log_sigma: float = -2.9
     """Log of the fixed standard deviation of actions in training."""
+    noise_window: int = 1
+    """Noise is the moving average of this many independent draws, scaled back to the same deviation. 1, the paper:
+    independent at every step. More: a push lasts several steps, so that it shows in how the episode ends."""
+    judges: int = 0
+    """k: the environments 0, k, 2k, ... act as in the evaluation, with independent noise of `judge_log_sigma`; PPO does
+    not learn from them, and they alone move the curriculum. 0, the paper: none; all explore and all are counted."""
+    judge_log_sigma: float = -3.7
+    """Log of the standard deviation of judging environments' actions."""
 
 
 @dataclass
@@ -41,6 +49,8 @@ class PPOConfig:
     """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
     max_grad_norm: float = 1.0
     """Gradients are clipped to this norm."""
+    max_skipped: int = 5
+    """Stop the run when this many updates in a row were skipped, their losses or gradients not being finite."""
     timeout: str = "terminal"
     """Value after a time-out: `terminal` (zero: it is a failure with a reward of its own, Eq. 9) or `bootstrap`
     (the value of the pose that it ended in)."""

@@ -1,5 +1,7 @@
 """Policy and value networks: two separate MLPs (section 5)."""
 
+from dataclasses import asdict
+
 import numpy as np
 import torch
 from torch import nn
@@ -30,8 +32,11 @@ def build_networks(config, seed, device):
     return policy.to(device), value.to(device)
 
 
-def snapshot(policy, normalizer, log_sigma, version):
-    """The `workers.types.Policy` of a policy network and its observation normalizer: numpy, detached from training."""
+def snapshot(policy, normalizer, config, version):
+    """The `workers.types.Policy` of a policy network and its observation normalizer: numpy, detached from training.
+
+    config: `learner.config.PolicyConfig`. version: number of updates that made it.
+    """
     layers = [layer for layer in policy if isinstance(layer, nn.Linear)]
     mean, scale = normalizer.mean_and_scale()
     return Policy(
@@ -39,6 +44,6 @@ def snapshot(policy, normalizer, log_sigma, version):
         biases=tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers),
         observation_mean=mean.cpu().numpy().astype(np.float32),
         observation_scale=scale.cpu().numpy().astype(np.float32),
-        log_sigma=log_sigma,
         version=version,
+        **asdict(config),
     )

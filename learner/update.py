@@ -11,7 +11,7 @@ from learner.gae import advantages
 from learner.networks import build_networks, snapshot
 from learner.normalizer import Normalizer
 from workers.observation import OBSERVATION_SIZE
-from workers.types import TIMED_OUT, Chunk, Outcomes, concatenate_outcomes
+from workers.types import TIMED_OUT, Chunk, Outcomes, concatenate_outcomes, judging
 
 # Streams of the learner's random numbers
 _SHUFFLE, _DEMONSTRATIONS = 0, 1
@@ -20,8 +20,9 @@ _SHUFFLE, _DEMONSTRATIONS = 0, 1
 class LearnerState:
     """Everything that the learner is between two updates: networks, optimizers, normalizers, learning rate.
 
-    config: `learner.config.LearnerConfig`. `updates` counts the updates that made it. A demonstration's action is
-    expressed in `action` (`workers.config.ActionConfig`), which the acting policy used.
+    config: `learner.config.LearnerConfig`. `updates` counts the updates so far, `skipped` those of the last ones in a
+    row that changed nothing (see `update`). A demonstration's action is expressed in `action`
+    (`workers.config.ActionConfig`), which the acting policy used.
     """
 
     def __init__(self, config, action, seed, device="cpu"):
@@ -32,34 +33,48 @@ class LearnerState:
         self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=self.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
-        self.updates = 0
+        self.updates = self.skipped = 0
 
     _PARTS = ("policy", "value", "policy_optimizer", "value_optimizer", "observations", "returns")
+    _NUMBERS = ("learning_rate", "updates", "skipped")
 
     def snapshot(self):
         """The `workers.types.Policy` to act with."""
-        return snapshot(self.policy, self.observations, self.config.policy.log_sigma, self.updates)
+        return snapshot(self.policy, self.observations, self.config.policy, self.updates)
 
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint; shares memory with the networks."""
         parts = {name: getattr(self, name).state_dict() for name in self._PARTS}
-        return {**parts, "learning_rate": self.learning_rate, "updates": self.updates}
+        numbers = {name: getattr(self, name) for name in self._NUMBERS}
+        return {**parts, **numbers}
 
     def load_state_dict(self, state):
         """Become the learner that made `state`."""
         for name in self._PARTS:
             getattr(self, name).load_state_dict(state[name])
-        self.learning_rate, self.updates = state["learning_rate"], state["updates"]
+        for name in self._NUMBERS:
+            setattr(self, name, state[name])
+
+    def is_finite(self):
+        """Whether every parameter and every normalizer's number is."""
+        tensors = [*self.policy.parameters(), *self.value.parameters()]
+        for normalizer in (self.observations, self.returns):
+            tensors += [normalizer.mean, normalizer.squares]
+        return bool(torch.stack([torch.isfinite(tensor).all() for tensor in tensors]).all())
 
 
 def update(state, chunks):
     """(LearnerState, metrics) after one update from `state` on a list of chunks; `state` is left as it was.
 
-    Every epoch uses every transition once, in minibatches of equal size to within one. Each update step does one SBC
-    step (if enabled), then one PPO step (section 5). The chunks' order does not matter: they are put in the order of
-    their environments. metrics: dict of float.
+    Every epoch uses every transition of every exploring environment once (see `PolicyConfig.judges`), in minibatches of
+    equal size to within one. Each update step does one SBC step (if enabled), then one PPO step (section 5). The
+    chunks' order does not matter: they are put in the order of their environments. metrics: dict of float.
+
+    If a loss, a gradient or what they make of the state is not finite, the update is skipped: the state is as it was
+    but for the counters `updates` and `skipped`. metrics: `update/skipped` is the second of these (0: not skipped), a
+    number that is not finite is None.
     """
-    state = copy.deepcopy(state)
+    before, state = state, copy.deepcopy(state)
     config, device = state.config, state.device
     chunk = concatenate_chunks(chunks)
     horizon, n = chunk.end.shape
@@ -78,18 +93,20 @@ def update(state, chunks):
     action, acting_mean = tensor(chunk.action.reshape(samples, -1)), tensor(chunk.mean.reshape(samples, -1))
     # with no lag the acting policy is the anchor, up to the last bits of another matrix product: take its own numbers
     anchor_mean = acting_mean if chunk.version == state.updates else _no_grad(state.policy, inputs)
+    explored = np.flatnonzero(np.tile(~judging(chunk.environment, config.policy.judges), horizon))
     advantage = tensor(advantage.reshape(-1))
-    advantage = (advantage - advantage.mean()) / (advantage.std(correction=0) + 1e-8)
+    used = advantage[tensor(explored)]
+    advantage = (advantage - used.mean()) / (used.std(correction=0) + 1e-8)
 
     sigma = math.exp(config.policy.log_sigma)
-    batches = -(-samples // config.ppo.minibatch_size)
-    demonstrator = _Demonstrator(state, chunk, config.sbc.batch_size or -(-samples // batches))
+    batches = -(-len(explored) // config.ppo.minibatch_size)
+    demonstrator = _Demonstrator(state, chunk, config.sbc.batch_size or -(-len(explored) // batches))
     shuffle = _generator(state, _SHUFFLE)
     for group in state.policy_optimizer.param_groups:
         group["lr"] = state.learning_rate
     sums, steps, divergence_sum = {}, 0, 0.0
     for epoch in range(config.ppo.epochs):
-        for rows in np.array_split(shuffle.permutation(samples), batches):
+        for rows in np.array_split(shuffle.permutation(explored), batches):
             rows = tensor(rows)
             record = demonstrator.step()
             loss, divergence, clipped = ppo.policy_loss(
@@ -98,10 +115,10 @@ def update(state, chunks):
             )  # fmt: skip
             norm = _descend(loss, state.policy, state.policy_optimizer, config.ppo.max_grad_norm)
             value_loss = ((state.value(inputs[rows]).squeeze(-1) - wanted_value[rows]) ** 2).mean()
-            _descend(value_loss, state.value, state.value_optimizer, config.ppo.max_grad_norm)
+            value_norm = _descend(value_loss, state.value, state.value_optimizer, config.ppo.max_grad_norm)
             record.update({
                 "loss/policy": loss.detach(), "loss/value": value_loss.detach(), "policy/kl": divergence,
-                "policy/clipped": clipped, "gradient/policy": norm,
+                "policy/clipped": clipped, "gradient/policy": norm, "gradient/value": value_norm,
             })  # fmt: skip
             for name, number in record.items():
                 sums[name] = sums.get(name, 0.0) + number
@@ -109,21 +126,23 @@ def update(state, chunks):
                 divergence_sum += divergence
             steps += 1
     metrics = {name: float(total) / steps for name, total in sums.items()}
-    wrong = [name for name, number in metrics.items() if not math.isfinite(number)]
-    if wrong:
-        raise FloatingPointError(
-            f"update {state.updates}: {', '.join(wrong)} not finite; continue from the last checkpoint with a smaller "
-            "ppo.learning_rate or ppo.max_grad_norm"
-        )
     metrics["policy/learning_rate"] = state.learning_rate
     metrics["value/error"] = value_error
     metrics["sbc/valid_pairs"] = demonstrator.valid_share
-    state.learning_rate = ppo.adapt_learning_rate(
-        state.learning_rate, float(divergence_sum) / batches, config.ppo.target_kl
-    )
     # after the epochs, so that they see observations as the acting policy did
     state.observations.update(observation)
+    finite = all(map(math.isfinite, metrics.values())) and state.is_finite()
+    if finite:
+        state.learning_rate = ppo.adapt_learning_rate(
+            state.learning_rate, float(divergence_sum) / batches, config.ppo.target_kl
+        )
+        state.skipped = 0
+    else:
+        state = copy.deepcopy(before)
+        state.skipped += 1
+        metrics = {name: number if math.isfinite(number) else None for name, number in metrics.items()}
     state.updates += 1
+    metrics["update/skipped"] = state.skipped
     return state, metrics
 
 

@@ -44,12 +44,25 @@ class CurriculumConfig:
 
 @dataclass
 class CheckpointConfig:
-    """Checkpoints of a run, in its folder."""
+    """Checkpoints of a run."""
 
     every: int = 10
     """Iterations between checkpoints."""
     keep: int = 3
     """How many are kept."""
+    storage: str | None = None
+    """Where they go: a URL such as file:///mnt/x or s3://bucket/x, below which each run gets a folder of its own; none:
+    the run's folder."""
+
+
+@dataclass
+class FaultsConfig:
+    """Lost processes and machines. No value changes a number of the run."""
+
+    restarts: int = 5
+    """Faults in a row, without a new iteration in between, that a run survives."""
+    hang_timeout: float = 900.0
+    """Seconds without an answer after which an actor is taken for hung and replaced."""
 
 
 @dataclass
@@ -113,6 +126,7 @@ class Config(EnvConfig, LearnerConfig):
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
+    faults: FaultsConfig = field(default_factory=FaultsConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orchestrator.metrics import summarize
-from workers.types import REACHED, Thresholds, concatenate_outcomes
+from workers.types import REACHED, Thresholds, concatenate_outcomes, judging
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,10 @@ class Curriculum:
     def observe(self, *outcomes):
         """(thresholds after one more iteration's outcomes, summary of these outcomes)."""
         joined = concatenate_outcomes(outcomes)
-        self._state = observe(self._state, self._config.curriculum, joined)
-        return self.thresholds(), summarize(joined)
+        judges = self._config.policy.judges
+        counted = joined.take(judging(joined.environment, judges)) if judges else joined
+        self._state = observe(self._state, self._config.curriculum, counted)
+        return self.thresholds(), summarize(joined, counted)
 
     def saved(self):
         """The state, for a checkpoint."""

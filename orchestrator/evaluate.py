@@ -10,18 +10,18 @@ Evaluates the newest checkpoint in the folder and writes evaluation.json there.
 
 import json
 import math
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from learner.storage import replace_file
 from motion.errors import InputError
 from motion.state_machine import build_state_machine
 from orchestrator.console import run_command
 from orchestrator.curriculum import final_tightenings, thresholds
-from orchestrator.run import load_latest
+from orchestrator.saved import load_latest
 from orchestrator.settings import load
 from orchestrator.tasks import task_grid
 from workers.config import RewardConfig
@@ -136,19 +136,17 @@ def evaluate_at(config, library, policy, tasks, limits):
 def evaluate_run(folder, config):
     """Evaluate the newest checkpoint of a run's folder; writes evaluation.json there and returns its content."""
     folder = Path(folder)
-    saved, path = load_latest(folder)
+    saved, path = load_latest(folder, config)
     if saved is None:
         raise InputError(f"{folder}: holds no checkpoint; train it first (python -m orchestrator.train out={folder})")
     curriculum = saved["parts"][1]
     content = {
-        "checkpoint": path.name,
+        "checkpoint": str(path).rpartition("/")[2],
         "samples": saved["iteration"] * config.samples_per_iteration,
         "iterations": saved["iteration"],
         **evaluate_policy(config, saved["policies"][-1], curriculum.tightenings, curriculum.achieved_at),
     }
-    temporary = folder / "evaluation.tmp"
-    temporary.write_text(json.dumps(content, indent=2) + "\n")
-    os.replace(temporary, folder / "evaluation.json")
+    replace_file(folder / "evaluation.json", (json.dumps(content, indent=2) + "\n").encode())
     return content
 
 

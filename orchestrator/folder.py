@@ -17,7 +17,10 @@ from orchestrator.validate import shown
 NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
 
 # Keys that change no number of a run: another value continues it
-FREE = ("out", "runtime", "worker_threads", "tracking.", "checkpoint.")
+FREE = (
+    "out", "runtime", "worker_threads", "tracking.", "checkpoint.", "faults.", "physics.max_unstable_share",
+    "ppo.max_skipped",
+)  # fmt: skip
 BUDGET = ("budget.",)  # may be raised
 EVALUATION = ("evaluation.",)  # another value needs another evaluation, but no other training
 
@@ -32,6 +35,11 @@ def evaluation_path(folder):
 
 def metrics_path(folder):
     return Path(folder) / "metrics.jsonl"
+
+
+def stop_path(folder):
+    """A file that asks the run in a folder to write a checkpoint and stop."""
+    return Path(folder) / "stop"
 
 
 def differences(one, other):

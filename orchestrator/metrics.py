@@ -1,11 +1,16 @@
 """What one iteration's outcomes and update say, under the names that metrics.jsonl and MLflow use."""
 
+import numpy as np
+
 from motion import skeleton
 from workers.types import FELL, REACHED, REWARD_PARTS, TIMED_OUT
 
 
-def summarize(outcomes):
-    """Metrics (dict) of the episodes that ended in one iteration; None where no episode ended."""
+def summarize(outcomes, counted):
+    """Metrics (dict) of the episodes that ended in one iteration; None where no episode ended.
+
+    counted: those of them that the curriculum counts; all but where `policy.judges` chooses.
+    """
     count = len(outcomes)
     metrics = {"episode/count": count}
 
@@ -19,14 +24,18 @@ def summarize(outcomes):
     metrics["achievement"] = share(outcomes.end == REACHED)
     fresh = outcomes.end[~outcomes.retained] == REACHED
     metrics["achievement_fresh"] = float(fresh.mean()) if len(fresh) else None
+    judged = counted.end[~counted.retained] == REACHED
+    metrics["achievement_judged"] = float(judged.mean()) if len(judged) else None
     for name, end in (("reached", REACHED), ("fell", FELL), ("timed_out", TIMED_OUT)):
         metrics[f"end/{name}"] = share(outcomes.end == end)
     fell = outcomes.end == FELL
-    # the cause of every fall: which body touched the ground; a simulation that MuJoCo gave up is body -1
+    # the cause of every fall: which body touched the ground; a simulation that exploded is body -1
     for body, name in enumerate(skeleton.BODY_NAMES):
         if (fell & (outcomes.fell_on == body)).any():
             metrics[f"fell_on/{name}"] = share(fell & (outcomes.fell_on == body))
-    metrics["end/unstable"] = share(fell & (outcomes.fell_on < 0))
+    unstable = fell & (outcomes.fell_on < 0)
+    metrics["end/unstable"] = share(unstable)
+    metrics["physics/unstable"] = len(np.unique(outcomes.environment[unstable]))
     metrics["episode/steps"] = float(outcomes.steps.mean()) if count else None
     metrics["episode/trembles"] = float(outcomes.trembles.mean()) if count else None
     metrics["episode/root_rotation"] = float(outcomes.deviations[:, 2].mean()) if count else None

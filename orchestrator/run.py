@@ -4,58 +4,68 @@ The loop only passes handles on. Chunk k is collected with policy and thresholds
 the timing: with d = 1 the workers collect chunk k + 1 while the learner updates on chunk k.
 """
 
-import json
-import os
 import time
 from collections import deque
-from dataclasses import asdict
 from pathlib import Path
 
 from learner import checkpoint
+from orchestrator import faults
 from orchestrator.curriculum import CurriculumState, final_tightenings
+from orchestrator.history import History
 from orchestrator.metrics import describe_thresholds
-from orchestrator.runtime import build_runtime
-from workers.types import Policy, Thresholds, WorkerState
+from orchestrator.runtime import FAULTS, build_runtime, describe, is_fault
+from orchestrator.saved import check_same_run, content_of, load_latest, place
 
 
-def train(config, folder, report=lambda metrics: None):
+class Stopped(KeyboardInterrupt):
+    """The run was asked to stop and has written a checkpoint of the iteration that it reached."""
+
+
+def train(config, folder, report=lambda metrics: None, stop=lambda: False, notice=lambda line: None):
     """Run or continue the run of a `Config` in a folder; returns a summary of where it stands at the end.
 
     Appends one line per iteration to metrics.jsonl (what depends on the clock under keys that begin with perf/) and
-    calls `report` with the same dict; checkpoints every `checkpoint.every` iterations and at the end.
+    calls `report` with the same dict; checkpoints every `checkpoint.every` iterations and at the end. When `stop()`
+    becomes true it writes a checkpoint and raises `Stopped`.
+
+    Lost processes and machines: a rollout worker is replaced by its runtime; if another part is lost, the run goes
+    back to its last checkpoint and repeats the iterations since, which gives the same numbers. `notice` is called with
+    a line of text each time. After `faults.restarts` such faults without a new iteration in between, the fault is
+    raised.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    saved, _ = load_latest(folder)
-    runtime = build_runtime(config, *(saved or {}).get("parts", (None, None)))
-    try:
-        return _Loop(config, folder, runtime, report, saved).run()
-    finally:
-        runtime.close()
-
-
-def load_latest(folder):
-    """(content of the newest checkpoint in a run's folder, its path), or (None, None) if there is none yet.
-
-    content: iteration, parts (learner's and curriculum's state), workers, policies, thresholds.
-    """
-    found = checkpoint.paths(Path(folder) / "checkpoints")
-    if not found:
-        return None, None
-    content = checkpoint.load(found[-1])
-    window = tuple(tuple(entry) for entry in content["curriculum"].pop("window"))
-    return {
-        "iteration": content["iteration"],
-        "parts": (content["learner"], CurriculumState(window=window, **content["curriculum"])),
-        "workers": [WorkerState(**_arrays(item)) for item in content["workers"]],
-        "policies": [Policy(**_arrays(item)) for item in content["policies"]],
-        "thresholds": [Thresholds(**item) for item in content["thresholds"]],
-    }, found[-1]
+    fault, reached, in_a_row = None, None, 0
+    while True:
+        saved, path = load_latest(folder, config)
+        if fault:
+            where = f"goes on from the checkpoint of iteration {saved['iteration']}" if saved else "starts again"
+            notice(f"{describe(fault)}; {where}")
+        if saved is not None:
+            check_same_run(saved, config, path)
+        runtime, loop = None, None
+        try:
+            runtime = build_runtime(config, *(saved or {}).get("parts", (None, None)), notice=notice)
+            loop = _Loop(config, folder, runtime, report, stop, saved)
+            return loop.run()
+        except FAULTS as error:
+            if not is_fault(error):
+                raise
+            last = loop.last if loop else 0
+            in_a_row = in_a_row + 1 if last == reached else 1
+            reached = last
+            if in_a_row > config.faults.restarts:
+                raise
+            fault = error
+        finally:
+            if runtime:
+                runtime.close()
 
 
 class _Loop:
-    def __init__(self, config, folder, runtime, report, saved):
-        self._config, self._folder, self._runtime, self._report = config, folder, runtime, report
+    def __init__(self, config, folder, runtime, report, stop, saved):
+        self._config, self._folder, self._runtime = config, folder, runtime
+        self._report, self._stop = report, stop
         if saved is None:
             self._iteration = 0
             self._states, policy, thresholds = runtime.initial()
@@ -66,37 +76,50 @@ class _Loop:
                 [runtime.handle(value) for value in saved[name]] for name in ("workers", "policies", "thresholds")
             )
         self._summary = self._summarize(saved["parts"][1] if saved else CurriculumState())
-        self._metrics = _open_metrics(folder / "metrics.jsonl", self._iteration)
-        self._seconds, self._last = 0.0, time.monotonic()
+        self._history = History(folder / "metrics.jsonl", self._iteration)
+        self._seconds, self._last = self._history.seconds, time.monotonic()
+
+    @property
+    def last(self):
+        """The newest iteration that the run has ever finished."""
+        return self._history.last
 
     def run(self):
         config, runtime = self._config, self._runtime
         depth, total = config.pipeline_depth, config.total_iterations
-        pending = deque()
-        with self._metrics:
+        pending, stopping = deque(), False
+        with self._history:
             for k in range(self._iteration, total):
-                chunks, outcomes, self._states = runtime.collect(self._states, self._policies[0], self._thresholds[0])
-                used = self._thresholds[0]
+                begun = self._states, self._policies[0], self._thresholds[0]
+                chunks, outcomes, self._states = runtime.collect(*begun)
                 policy, losses = runtime.update(chunks)
                 thresholds, summary = runtime.observe(outcomes)
                 self._policies = [*self._policies, policy][-(depth + 1) :]
                 self._thresholds = [*self._thresholds, thresholds][-(depth + 1) :]
-                due = (k + 1) % config.checkpoint.every == 0 or k + 1 == total
-                pending.append((k + 1, losses, summary, used, self._snapshot() if due else None))
+                stopping = self._stop()
+                due = stopping or (k + 1) % config.checkpoint.every == 0 or k + 1 == total
+                pending.append((k + 1, losses, summary, (*begun, outcomes), self._snapshot() if due else None))
                 # at most `depth` iterations ahead of the slowest part
                 while len(pending) > depth:
                     self._finish(*pending.popleft())
+                if stopping:
+                    break
             while pending:
                 self._finish(*pending.popleft())
+        if stopping:
+            raise Stopped
         return self._summary
 
     def _snapshot(self):
         """Handles of all that a checkpoint holds, taken between two updates without waiting for either."""
         return self._runtime.saved(), list(self._states), list(self._policies), list(self._thresholds)
 
-    def _finish(self, iteration, losses, summary, thresholds, snapshot):
-        """Wait for an iteration; write its line of metrics, then its checkpoint."""
-        losses, summary, thresholds = self._runtime.value([losses, summary, thresholds])
+    def _finish(self, iteration, losses, summary, evidence, snapshot):
+        """Wait for an iteration; write its line of metrics, then its checkpoint.
+
+        evidence: handles of what its chunks were collected from (states, policy, thresholds), and of the outcomes.
+        """
+        losses, summary, thresholds = self._runtime.value([losses, summary, evidence[2]])
         now = time.monotonic()
         seconds, self._last = now - self._last, now
         self._seconds += seconds
@@ -111,8 +134,8 @@ class _Loop:
             "perf/seconds": self._seconds,
             "perf/time": time.time(),
         }
-        self._metrics.write(json.dumps(metrics) + "\n")
-        self._metrics.flush()
+        self._history.write(metrics)
+        faults.check(self._config, self._folder, metrics, lambda: [self._runtime.value(item) for item in evidence])
         if snapshot is not None:
             self._save(iteration, snapshot)
         self._report(metrics)
@@ -121,15 +144,11 @@ class _Loop:
         value = self._runtime.value
         parts, states, policies, thresholds = snapshot
         learner, curriculum = value(parts[0]), value(parts[1])
-        content = {
-            "iteration": iteration,
-            "learner": learner,
-            "curriculum": asdict(curriculum),
-            "workers": [vars(state) for state in value(states)],
-            "policies": [vars(policy) for policy in value(policies)],
-            "thresholds": [vars(item) for item in value(thresholds)],
-        }
-        checkpoint.save(self._folder / "checkpoints", iteration, content, self._config.checkpoint.keep)
+        content = content_of(
+            self._config, iteration, learner, curriculum, value(states), value(policies), value(thresholds)
+        )
+        self._history.sync()  # a checkpoint on the disk has its lines there, too
+        checkpoint.save(place(self._folder, self._config), iteration, content, self._config.checkpoint.keep)
         self._summary = self._summarize(curriculum)
 
     def _summarize(self, curriculum):
@@ -140,35 +159,3 @@ class _Loop:
             "final_tightenings": final_tightenings(self._config.curriculum),
             "irfa": curriculum.achieved_at,
         }
-
-
-def _arrays(item):
-    """Tensors of a checkpoint as numpy arrays, lists of them as tuples."""
-    out = {}
-    for name, value in item.items():
-        if isinstance(value, list):
-            value = tuple(part.numpy() for part in value)
-        elif hasattr(value, "numpy"):
-            value = value.numpy()
-        out[name] = value
-    return out
-
-
-def _open_metrics(path, iteration):
-    """The metrics file, open for appending, without lines of iterations after `iteration`, which will be repeated."""
-    kept = []
-    if path.exists():
-        for line in path.read_text().splitlines():
-            try:
-                number = json.loads(line)["iteration"]
-            except (ValueError, KeyError):
-                break  # the end of a line that a crash cut off
-            if number <= iteration:
-                kept.append(line + "\n")
-    temporary = path.with_suffix(".tmp")
-    with open(temporary, "w") as file:
-        file.writelines(kept)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
-    return open(path, "a")

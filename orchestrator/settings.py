@@ -18,6 +18,7 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from learner.storage import replace_file
 from motion.errors import InputError
 from orchestrator.config import Config
 from orchestrator.keys import all_keys, find_key, keys_of, suggestion
@@ -219,10 +220,7 @@ def first_line(error):
 
 def save(config, path):
     """Write the whole configuration as YAML, at once or not at all."""
-    path = Path(path)
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(OmegaConf.to_yaml(OmegaConf.structured(config)), encoding="utf-8")
-    os.replace(temporary, path)
+    replace_file(path, OmegaConf.to_yaml(OmegaConf.structured(config)).encode())
 
 
 def load(path, arguments=()):

@@ -89,6 +89,11 @@ class PhysicsConfig:
     """Most iterations of its line search."""
     tolerance: float = 1e-6
     """The solver stops when an iteration improves its (scaled) cost by less; MuJoCo's 1e-8 moves nothing visible."""
+    max_speed: float = 200.0
+    """A simulation in which anything moves faster (m/s, rad/s) has exploded; its episode ends as a failure. Falls and
+    wild actions stay below 50."""
+    max_unstable_share: float = 0.01
+    """Stop the run when more than this share of the simulations explodes in one iteration (rounded up)."""
 
 
 @dataclass

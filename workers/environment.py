@@ -2,7 +2,7 @@
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+from mujoco.batch import Batch, SimulationError
 from numba import njit
 
 from workers.action import MODES, act_batch
@@ -136,16 +136,23 @@ class Environment:
         """One policy step of rows ids (or all) with action (num_envs, 31) and `workers.types.Thresholds`.
 
         Fills deviations, parts, end, fell_on, pd_target of these rows and adds to steps, trembles, totals. A simulation
-        that MuJoCo gives up keeps the pose that it had before the step and ends as a fall on body -1.
+        that explodes (MuJoCo gives it up, or it is faster than `physics.max_speed`) keeps the pose that it had before
+        the step and ends as a fall on body -1; no other row knows of it.
         """
         rows = self._all if ids is None else ids
         act_batch(action, self._mode, self.config.action.scale, self.qpos, self.target_qpos, self.pd_target, self._ctrl)
         last_qpos, last_qvel = self.qpos.copy(), self.qvel.copy()
         self._batch.warning[:] = 0
-        self._batch.step(ids, nstep=self._substeps)
+        refused = []
+        try:
+            self._batch.step(ids, nstep=self._substeps)
+        except SimulationError as error:  # the others have been stepped
+            refused = error.ids
         diverged = self._batch.warning[:, _DIVERGED, 1].any(axis=1)
-        # MuJoCo looks at the start of a step: what the last substep did is seen here
-        diverged |= ~(np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1))
+        diverged[refused] = True
+        # MuJoCo looks at the start of a step, and for numbers beyond 1e10: what the last substep did is seen here
+        diverged |= ~np.isfinite(self.qpos).all(axis=1)
+        diverged |= ~(np.abs(self.qvel).max(axis=1) <= self.config.physics.max_speed)  # true of NaN, too
         if diverged.any():
             self.qpos[diverged], self.qvel[diverged] = last_qpos[diverged], last_qvel[diverged]
         switches = self.config.reward

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from workers.counter_random import ACTION, fill_normal
 from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
 from workers.kinematics import NQ, NUM_DOF, NV
+from workers.noise import ActionNoise
 from workers.types import Chunk, Outcomes, concatenate_outcomes
 
 
@@ -34,7 +34,7 @@ class Rollout:
         env.load(state)
         index, episode, clock = state.environment, state.episode.copy(), state.clock
         network = PolicyNetwork(policy, n)
-        sigma = np.float32(np.exp(policy.log_sigma))
+        noise = ActionNoise(policy, self._seed, index, clock)
 
         observation = new_observations(horizon, n)
         action = np.empty((horizon, n, NUM_DOF), dtype=np.float32)
@@ -44,14 +44,12 @@ class Rollout:
         end = np.empty((horizon, n), dtype=np.int8)
         pose = np.empty((horizon, n, NQ + NV), dtype=np.float32)
         next_pose = np.empty_like(pose)
-        noise = np.empty((n, NUM_DOF))
         nobody = np.zeros(0, dtype=np.int64)
         final, ended = [env.observe(new_observations(0), nobody)], [outcomes(env, clock, index, nobody, thresholds)]
         for t in range(horizon):
             env.observe(observation[t])
             mean[t] = network.mean(observation[t])
-            fill_normal(self._seed, ACTION, index, np.full(n, clock), noise)
-            action[t] = mean[t] + sigma * noise.astype(np.float32)
+            action[t] = mean[t] + noise.next()
             pose[t, :, :NQ], pose[t, :, NQ:] = env.qpos, env.qvel
             env.step(action[t], thresholds)
             clock += 1

@@ -38,6 +38,7 @@ class Policy:
     observation_mean, observation_scale: (282,); the network sees clip((s - mean) * scale, -10, 10).
     log_sigma: log standard deviation of every action dimension.
     version: number of updates that made it.
+    noise_window, judges, judge_log_sigma: how it explores; see `learner.config.PolicyConfig` and `workers.noise`.
     """
 
     weights: tuple
@@ -46,6 +47,14 @@ class Policy:
     observation_scale: np.ndarray
     log_sigma: float
     version: int
+    noise_window: int = 1
+    judges: int = 0
+    judge_log_sigma: float = -3.7
+
+
+def judging(environment, judges):
+    """Which environments (indices in the run, (N,)) act as in the evaluation: 0, k, 2k, ... for k = judges > 0."""
+    return environment % judges == 0 if judges else np.zeros(len(environment), dtype=bool)
 
 
 @dataclass(frozen=True)

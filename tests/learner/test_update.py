@@ -1,6 +1,7 @@
 """`update` is pure, indifferent to how workers shared the environments, and it learns."""
 
 import copy
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -182,6 +183,111 @@ def test_the_first_updates_of_a_pipeline_leave_the_weights_finite(library, make_
         state, metrics = update(state, [chunk])
         assert np.isfinite(list(metrics.values())).all(), metrics
         assert all(np.isfinite(weight).all() for weight in state.snapshot().weights)
+
+
+def test_ppo_learns_from_exploring_environments_only(lessons, make_config, assert_same_bits):
+    chunk = lessons[0]
+    state = learner(make_config({"policy.judges": 4, "sbc.enabled": False}))
+    wanted, _ = update(state, [chunk])
+    for environment, same in ((4, True), (5, False)):
+        action = chunk.action.copy()
+        action[:, environment] += 0.1
+        got, _ = update(state, [replace(chunk, action=action)])
+        if same:
+            assert_same_bits(content(got), content(wanted))
+        else:
+            assert not np.array_equal(got.snapshot().weights[0], wanted.snapshot().weights[0])
+
+
+# ----------------------------------------------------------------------------------------------------- skipped updates
+
+COUNTERS = ("updates", "skipped")
+
+
+def without_counters(state):
+    return {name: value for name, value in content(state).items() if name not in COUNTERS}
+
+
+def poisoned(chunk, name, value):
+    """A chunk with one wrong number."""
+    array = getattr(chunk, name).copy()
+    array[3, 2] = value
+    return replace(chunk, **{name: array})
+
+
+@pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")
+@pytest.mark.parametrize(
+    "name, value",
+    [("reward", np.nan), ("reward", np.inf), ("reward", 3e38), ("observation", np.nan), ("observation", np.inf),
+     ("action", np.nan), ("action", np.inf), ("action", 3e38), ("mean", np.nan)],
+)  # fmt: skip
+def test_an_update_on_numbers_that_are_not_finite_changes_only_the_counters(
+    name, value, lessons, make_config, assert_same_bits
+):
+    """Parameters, optimizers, normalizers and learning rate stay, to the last bit; the same again gives the same."""
+    config = make_config({"ppo.target_kl": 0.01, "ppo.learning_rate": 1e-3})
+    before, _ = update(learner(config), lessons[:1])
+    kept = copy.deepcopy(content(before))
+    bad = poisoned(lessons[1], name, value)
+    state, metrics = update(before, [bad])
+    again, same = update(before, [bad])
+    assert_same_bits(content(before), kept)
+    assert metrics["update/skipped"] == state.skipped == 1 and state.updates == before.updates + 1
+    assert_same_bits(without_counters(state), without_counters(before))
+    assert json.dumps(metrics, allow_nan=False) == json.dumps(same, allow_nan=False)
+    assert_same_bits(content(state), content(again))
+
+
+def test_skipped_updates_are_counted_in_a_row_and_learning_goes_on_after_them(lessons, make_config, assert_same_bits):
+    config = make_config()
+    state, _ = update(learner(config), lessons[:1])
+    fresh = copy.deepcopy(state)
+    counts = []
+    for chunk in (lessons[1], poisoned(lessons[1], "reward", np.nan), poisoned(lessons[2], "reward", np.inf)):
+        state, metrics = update(state, [chunk])
+        counts.append(metrics["update/skipped"])
+    state, metrics = update(state, lessons[3:4])
+    assert [*counts, metrics["update/skipped"], state.skipped] == [0, 1, 2, 0, 0]
+    # the same as if the two had never been, but for the update's number, which the random numbers depend on
+    fresh, _ = update(fresh, lessons[1:2])
+    fresh.updates += 2
+    fresh, _ = update(fresh, lessons[3:4])
+    assert_same_bits(content(state), content(fresh))
+
+
+@pytest.mark.parametrize("which", ["policy", "value"])
+def test_a_gradient_that_is_not_finite_skips_even_in_the_last_step_with_finite_losses(
+    which, lessons, make_config, monkeypatch, assert_same_bits
+):
+    before = learner(make_config({"ppo.epochs": 1, "ppo.minibatch_size": 1000, "sbc.enabled": False}))
+    outputs = {"policy": 31, "value": 1}[which]
+    clip = torch.nn.utils.clip_grad_norm_
+
+    def overflowing(parameters, max_norm):
+        parameters = list(parameters)
+        if len(parameters[-1]) == outputs:
+            parameters[0].grad[0, 0] = np.inf
+        return clip(parameters, max_norm)
+
+    monkeypatch.setattr(torch.nn.utils, "clip_grad_norm_", overflowing)
+    state, metrics = update(before, lessons[:1])
+    assert metrics["update/skipped"] == 1 and metrics[f"gradient/{which}"] is None
+    assert metrics["loss/policy"] is not None and metrics["loss/value"] is not None
+    assert_same_bits(without_counters(state), without_counters(before))
+
+
+def test_a_step_too_long_for_float32_is_skipped(lessons, make_config, assert_same_bits):
+    """Nothing was wrong with losses and gradients: the parameters after the last step are not finite."""
+    config = make_config({
+        "ppo.learning_rate": 3e38, "ppo.epochs": 1, "ppo.minibatch_size": 1000, "sbc.enabled": False,
+    })  # fmt: skip
+    before = learner(config)
+    for group in before.value_optimizer.param_groups:
+        group["lr"] = 1e39
+    state, metrics = update(before, lessons[:1])
+    assert metrics["update/skipped"] == 1 and None not in metrics.values()
+    assert state.is_finite()
+    assert_same_bits(without_counters(state), without_counters(before))
 
 
 # ------------------------------------------------------------------------------------------------------------ learning

@@ -1,5 +1,6 @@
 """Shrinking thresholds (Eq. 16) against the reference's plain list of results."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.config import CurriculumConfig
-from orchestrator.curriculum import CurriculumState, final_tightenings, observe, thresholds
+from orchestrator.curriculum import Curriculum, CurriculumState, final_tightenings, observe, thresholds
 from workers.config import ReachConfig
 from workers.types import FELL, REACHED, TIMED_OUT
 
@@ -135,3 +136,18 @@ def test_observing_leaves_the_state_as_it_was():
     config, state = CurriculumConfig(window=2), CurriculumState(window=((1, 1),))
     observe(state, config, outcomes([True] * 5))
     assert state == CurriculumState(window=((1, 1),))
+
+
+def test_judges_alone_move_the_curriculum_where_there_are_any(make_config, trajectories):
+    """All judges reach their target and no other environment does, and the other way round."""
+    ended = trajectories.chunks[0].outcomes
+    for judges, hit, tightenings in ((4, True, 1), (4, False, 0), (0, True, 0)):
+        config = make_config({"policy.judges": judges, "curriculum.window": 1, "curriculum.achievement": 0.88})
+        judge = ended.environment % 4 == 0
+        assert 0 < judge.sum() < len(ended)
+        end = np.where(judge == hit, REACHED, FELL).astype(np.int8)
+        ends = replace(ended, end=end, retained=np.zeros(len(ended), dtype=bool))
+        curriculum = Curriculum(config)
+        _, summary = curriculum.observe(ends)
+        assert curriculum.saved().tightenings == tightenings
+        assert summary["achievement_judged"] == (end[judge] == REACHED).mean() if judges else summary["achievement"]

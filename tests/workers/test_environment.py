@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import reference
+from mujoco.batch import SimulationError
 
 from motion.skeleton import BODY_NAMES
 from workers.environment import Environment
@@ -205,3 +206,34 @@ def test_a_simulation_that_diverges_during_a_step_keeps_its_last_pose_and_a_fini
     np.testing.assert_array_equal(env.qvel[1], before.qvel[1])
     assert np.isfinite(env.parts).all() and np.isfinite(env.observe(np.empty((3, 282), np.float32))).all()
     assert env.parts.shape == (3, NUM_PARTS) and env.parts[1, REWARD_PARTS.index("end")] == -3.0
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("limit, explodes", [(60.0, True), (1e9, False)])
+def test_a_simulation_faster_than_the_limit_has_exploded(limit, explodes, library, make_config, easy):
+    env = start(make_config({"physics.max_speed": limit}), library, 3)
+    env.qvel[1, 0] = 100.0  # m/s; it flies off, which MuJoCo takes for nothing unusual
+    env.step(actions(3)(), easy)
+    speed = np.abs(env.qvel).max(axis=1)
+    assert (env.fell_on[1] == -1 and env.end[1] == FELL) == explodes
+    assert explodes or 60.0 < speed[1] < 1e9
+    assert (speed[[0, 2]] < 60.0).all() and not ((env.end == FELL) & (env.fell_on < 0))[[0, 2]].any()
+
+
+def test_a_simulation_that_mujoco_refuses_to_step_ends_as_a_fall_on_no_body(library, make_config, easy, monkeypatch):
+    """MuJoCo's errors (its memory is full) come as an exception after all others have been stepped."""
+    env, other = (start(make_config(), library, 4) for _ in range(2))
+    step, action = env._batch.step, actions(4)()
+
+    def refuses(ids=None, nstep=1):
+        kept = env._batch.state[2].copy()
+        step(ids, nstep=nstep)
+        env._batch.state[2] = kept
+        raise SimulationError(np.array([2]), "out of memory")
+
+    monkeypatch.setattr(env._batch, "step", refuses)
+    env.step(action, easy)
+    other.step(action, easy)
+    assert (env.end[2], env.fell_on[2]) == (FELL, -1)
+    for name in ("qpos", "qvel", "end", "fell_on", "parts", "totals"):
+        np.testing.assert_array_equal(getattr(env, name)[[0, 1, 3]], getattr(other, name)[[0, 1, 3]], err_msg=name)

@@ -1,0 +1,89 @@
+"""What a run's checkpoint holds: its content as the loop's objects, and back."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+from learner import checkpoint, storage
+from motion.errors import InputError
+from orchestrator import folder as run_folder
+from orchestrator.curriculum import CurriculumState
+from orchestrator.settings import flatten
+from orchestrator.validate import shown
+from workers.types import Policy, Thresholds, WorkerState
+
+
+def place(folder, config):
+    """Where the checkpoints of a run go: its folder, or, with `checkpoint.storage`, the last two names of it there."""
+    folder = Path(folder).absolute()
+    if config.checkpoint.storage is None:
+        return folder / "checkpoints"
+    return storage.join(config.checkpoint.storage, folder.parent.name, folder.name)
+
+
+def content_of(config, iteration, learner, curriculum, workers, policies, thresholds):
+    """A checkpoint's content, for `learner.checkpoint.save`; the arguments are values, not handles.
+
+    learner: `LearnerState.state_dict()`; curriculum: `CurriculumState`; workers, policies, thresholds: lists.
+    """
+    return {
+        "iteration": iteration,
+        "config": _numbers_of(config),
+        "learner": learner,
+        "curriculum": asdict(curriculum),
+        "workers": [vars(state) for state in workers],
+        "policies": [vars(policy) for policy in policies],
+        "thresholds": [vars(item) for item in thresholds],
+    }
+
+
+def load_latest(folder, config=None):
+    """(content of the newest readable checkpoint of a run's folder, its path), or (None, None) if there is none yet.
+
+    content: iteration, config (see `check_same_run`), parts (learner's and curriculum's state), workers, policies,
+    thresholds. With a `Config` its `checkpoint.storage` is searched, too. A broken one is passed over with a warning;
+    InputError if all are broken.
+    """
+    places = [Path(folder) / "checkpoints"]
+    if config is not None and config.checkpoint.storage is not None:
+        places.append(place(folder, config))
+    content, path = checkpoint.load_newest(*places)
+    if content is None:
+        return None, None
+    window = tuple(tuple(entry) for entry in content["curriculum"].pop("window"))
+    return {
+        "iteration": content["iteration"],
+        "config": content.get("config", {}),
+        "parts": (content["learner"], CurriculumState(window=window, **content["curriculum"])),
+        "workers": [WorkerState(**_arrays(item)) for item in content["workers"]],
+        "policies": [Policy(**_arrays(item)) for item in content["policies"]],
+        "thresholds": [Thresholds(**item) for item in content["thresholds"]],
+    }, path
+
+
+def check_same_run(saved, config, path):
+    """InputError if what `load_latest` found at `path` is of a run with other numbers; a storage may hold many runs."""
+    wanted = _numbers_of(config)
+    for key, value in saved["config"].items():
+        if key in wanted and wanted[key] != value:
+            raise InputError(
+                f"{path}: of a run with {key}={shown(value)}, asked for {key}={shown(wanted[key])}; "
+                "choose another out= or checkpoint.storage="
+            )
+
+
+def _numbers_of(config):
+    """{dotted key: value} of the keys that the numbers of a run's training depend on."""
+    other = (*run_folder.FREE, *run_folder.BUDGET, *run_folder.EVALUATION, "device")
+    return {key: value for key, value in flatten(asdict(config)) if not key.startswith(other)}
+
+
+def _arrays(item):
+    """Tensors of a checkpoint as numpy arrays, lists of them as tuples."""
+    out = {}
+    for name, value in item.items():
+        if isinstance(value, list):
+            value = tuple(part.numpy() for part in value)
+        elif hasattr(value, "numpy"):
+            value = value.numpy()
+        out[name] = value
+    return out
