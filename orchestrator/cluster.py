@@ -4,9 +4,14 @@ import logging
 import os
 import shutil
 
-import ray
+# Before Ray starts its processes. Its own niceness of 15 lets actors starve beside anything else that the machine does.
+os.environ.setdefault("RAY_worker_niceness", "0")
+# A lost actor fails what waits for it, which is met where it is waited for: no need to print the rest
+os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")
 
-from motion.errors import InputError
+import ray  # noqa: E402
+
+from motion.errors import InputError  # noqa: E402
 
 LOCAL_OBJECT_STORE = 512 * 1024**2  # bytes, at least; shared memory is only touched as it is used
 BYTES_PER_SAMPLE = 4096  # of a chunk in the object store: observations, actions, poses as float32
@@ -26,7 +31,8 @@ def connect(samples_per_iteration):
         except (ConnectionError, RuntimeError) as error:
             raise InputError(
                 f"RAY_ADDRESS={address}: no Ray cluster answers ({str(error).splitlines()[0]}); "
-                "start it or unset RAY_ADDRESS to run on this machine"
+                "start it, set RAY_AUTH_MODE and RAY_AUTH_TOKEN as where it was started, or unset RAY_ADDRESS to run "
+                "on this machine"
             ) from error
     else:
         size = max(LOCAL_OBJECT_STORE, samples_per_iteration * BYTES_PER_SAMPLE * CHUNKS_IN_FLIGHT)
@@ -92,6 +98,21 @@ def check_placeable(config, nodes):
     if config.device == "cuda" and not any(node.get("GPU", 0) for node in nodes):
         remedy = "use device=cpu"
     raise InputError(f"a run asks for {amount(wanted)} ({needs}), the cluster has {amount(nodes)} in all: {remedy}")
+
+
+def shortage(config):
+    """What a run in progress waits for since a machine is gone, in words; None if it has all that it needs.
+
+    Within a Tune trial the run's placement group says so, else the resources of the machines that are left.
+    """
+    group = ray.util.get_current_placement_group()
+    wanted = bundles(config)
+    if group is not None:
+        if ray.util.placement_group_table(group)["state"] == "CREATED":
+            return None
+    elif placeable(wanted, alive_nodes()):
+        return None
+    return f"{amount(wanted)}, the cluster has {amount(alive_nodes())} in all: start a machine"
 
 
 def amount(resources):

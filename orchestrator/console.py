@@ -1,5 +1,6 @@
 """What the command lines share: help, one-line errors, exit statuses, signals."""
 
+import contextlib
 import os
 import shlex
 import signal
@@ -8,17 +9,34 @@ import threading
 
 from motion.errors import InputError
 
-GRACE = 8.0  # seconds that leaving may take after a signal
+POLITE = 5.0  # seconds that work asked to stop has for it
+GRACE = 8.0  # seconds that leaving may take in all after a signal
 
 _caught = []  # numbers of the signals so far
+_asked = []  # functions that ask running work to stop
+
+
+@contextlib.contextmanager
+def stopping(ask):
+    """Within this context the first signal calls `ask()`, which is to make the work end soon, instead of ending it."""
+    _asked.append(ask)
+    try:
+        yield
+    finally:
+        _asked.remove(ask)
+        signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def catch_signals():
-    """On SIGINT and SIGTERM raise KeyboardInterrupt in the main thread; a second one, or GRACE seconds, end it all.
+    """On SIGINT and SIGTERM ask the work to stop, or, where none is under way, raise KeyboardInterrupt.
 
-    To be called again after ray.init, which takes SIGTERM for itself. It must be KeyboardInterrupt: Ray's compiled code
-    passes on no other exception of a signal handler.
+    It is raised, too, where the work does not stop within POLITE seconds; a second signal, or GRACE seconds, end it
+    all. To be called again after ray.init, which takes SIGTERM for itself. It must be KeyboardInterrupt: Ray's compiled
+    code passes on no other exception of a signal handler.
     """
+
+    def interrupt(number, frame):
+        raise KeyboardInterrupt
 
     def handler(number, frame):
         _caught.append(number)
@@ -27,7 +45,12 @@ def catch_signals():
         timer = threading.Timer(GRACE, os._exit, [128 + number])
         timer.daemon = True
         timer.start()
-        raise KeyboardInterrupt
+        if not _asked:
+            raise KeyboardInterrupt
+        for ask in _asked:
+            ask()
+        signal.signal(signal.SIGALRM, interrupt)
+        signal.setitimer(signal.ITIMER_REAL, POLITE)
 
     signal.signal(signal.SIGINT, handler)
     signal.signal(signal.SIGTERM, handler)

@@ -11,12 +11,13 @@ and Ray as for a sweep (python -m orchestrator.sweep --help). All keys: python -
 """
 
 import sys
+import threading
 from pathlib import Path
 
 from motion.state_machine import build_state_machine
 from orchestrator import folder as run_folder
 from orchestrator import mlflow_store
-from orchestrator.console import catch_signals, run_command
+from orchestrator.console import catch_signals, run_command, stopping
 from orchestrator.plan import Run, run_name
 from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, samples
 from orchestrator.settings import Layer, build, command_line
@@ -72,6 +73,7 @@ def train_run(run):
     config = run.config
     uri = mlflow_store.address(config) if config.tracking.enabled else None
     row = Row(run.name, config.total_iterations, config.samples_per_iteration, run_folder.iterations_done(run.folder))
+    asked = threading.Event()
     with Progress([row]) as progress:
 
         def show(message):
@@ -82,7 +84,10 @@ def train_run(run):
 
         progress.state(run.name, RUNNING)
         try:
-            execute(config, run.folder, Tracking(uri, EXPERIMENT), Throttle(show, 0.2), progress.say)
+            with stopping(asked.set):
+                execute(
+                    config, run.folder, Tracking(uri, EXPERIMENT), Throttle(show, 0.2), progress.say, stop=asked.is_set
+                )
         except Exception as error:
             progress.state(run.name, FAILED, f"{reason(error)} (all of it: {run.folder / 'error.txt'})")
             return False

@@ -1,5 +1,6 @@
 """One run from start to end, wherever it lives: train (or continue), evaluate, log to MLflow."""
 
+import contextlib
 import re
 import time
 import traceback
@@ -10,37 +11,46 @@ from motion.errors import InputError
 from orchestrator import folder as run_folder
 from orchestrator.evaluate import evaluate_run
 from orchestrator.progress import EVALUATING
-from orchestrator.run import train
+from orchestrator.run import Stopped, train
 from orchestrator.settings import load
 from orchestrator.tracking import run_spec
 
 STALE_LOCK = 60.0  # seconds that a killed sweep's processes may take to let go of a run's folder
 
 
-def execute(config, folder, tracking, report, warn=lambda line: None):
+def execute(config, folder, tracking, report, warn=lambda line: None, notice=None, stop=lambda: False):
     """Do all that is left of a run in its prepared folder; returns evaluation.json's content.
 
-    report: called with every iteration's metrics, and with {"phase": EVALUATING} in between. An error leaves error.txt.
+    report: called with every iteration's metrics, and with {"phase": EVALUATING} in between. warn: called with lines of
+    text, from any thread; notice (default: warn) with those about faults, from this thread. When stop() becomes true,
+    `orchestrator.run.Stopped` is raised after a checkpoint. An error leaves error.txt.
     """
     folder = Path(folder)
     with run_folder.exclusive(folder, STALE_LOCK):
         tracker = tracking.start(run_spec(config, folder, tracking.parent), warn)
         try:
-            train(config, folder, lambda metrics: (tracker.wake(), report(metrics)))
+            train(config, folder, lambda metrics: (tracker.wake(), report(metrics)), stop, notice or warn)
             report({"phase": EVALUATING})
             evaluation = evaluate_run(folder, config)
         except BaseException as error:
             stopped = not isinstance(error, Exception)
             if not stopped:
-                (folder / "error.txt").write_text(traceback.format_exc())
+                with contextlib.suppress(OSError):  # a full disk must not hide what it has caused
+                    (folder / "error.txt").write_text(traceback.format_exc())
             tracker.finish("KILLED" if stopped else "FAILED", timeout=2.0 if stopped else 30.0)
             raise
         (folder / "error.txt").unlink(missing_ok=True)
-        files = [run_folder.config_path(folder), run_folder.evaluation_path(folder)]
-        files += checkpoint.paths(folder / "checkpoints")[-1:]
-        if not tracker.finish("FINISHED", evaluation_metrics(evaluation), files):
-            warn(f"{folder.name}: MLflow did not take everything; {folder / 'metrics.jsonl'} has all metrics")
+        if not tracker.finish("FINISHED", *logged_at_end(folder, config, evaluation)):
+            warn(f"{folder.name}: MLflow lacks some of it; to ship that: python -m orchestrator.tracking sync {folder}")
         return evaluation
+
+
+def logged_at_end(folder, config, evaluation):
+    """(metrics, files) that a finished run adds to what its iterations logged."""
+    files = [run_folder.config_path(folder), run_folder.evaluation_path(folder)]
+    if config.checkpoint.storage is None:  # what lies in a storage of its own is not copied to another
+        files += checkpoint.paths(folder / "checkpoints")[-1:]
+    return evaluation_metrics(evaluation), files
 
 
 def evaluation_metrics(evaluation):
@@ -80,14 +90,23 @@ class Throttle:
 
 
 def trainable(job, tracking):
-    """Ray Tune's function: one run of a sweep. job: {"job": {name, folder}}; the configuration is in the folder."""
+    """Ray Tune's function: one run of a sweep. job: {"job": {name, folder}}; the configuration is in the folder.
+
+    An error is reported, not raised: Tune starts a trial again that raised, and the error would come back. What it may
+    start again is a trial whose process or machine died; the run then continues.
+    """
     from ray import tune
 
     folder = Path(job["job"]["folder"])
     try:
         if not folder.is_dir():
             raise InputError(f"{folder} is not on this machine; out= must be on storage that all machines share")
-        execute(load(run_folder.config_path(folder)), folder, tracking, Throttle(tune.report))
+        config = load(run_folder.config_path(folder))
+        execute(
+            config, folder, tracking, Throttle(tune.report),
+            notice=lambda line: tune.report({"notice": line}), stop=run_folder.stop_path(folder).exists,
+        )  # fmt: skip
+    except Stopped:
+        tune.report({"stopped": True})
     except Exception as error:
         tune.report({"failure": reason(error)})
-        raise

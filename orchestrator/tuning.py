@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 from orchestrator import folder as run_folder
+from orchestrator.console import stopping
 from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING
 
 FOLDER = ".tune"  # Ray Tune's own files, below the sweep's folder; nothing of ours is read from there
@@ -49,16 +50,26 @@ def tune_runs(out, runs, tracking, progress):
 
     logging.getLogger("ray.tune").setLevel(logging.CRITICAL)
     shutil.rmtree(out / FOLDER, ignore_errors=True)
-    watch = make_watch(tune.Callback, progress)
+    for run in runs:
+        run_folder.stop_path(run.folder).unlink(missing_ok=True)
+    watch = make_watch(tune.Callback, progress, [run.folder for run in runs])
     jobs = [{"name": run.name, "folder": str(run.folder)} for run in runs]
     # Tune writes its param_space to disk, but not parameters: an address may hold a password
     function = tune.with_parameters(trainable, tracking=tracking)
-    tune.Tuner(
+    tuner = tune.Tuner(
         tune.with_resources(function, tune.PlacementGroupFactory([{}, *cluster.bundles(runs[0].config)])),
         param_space={"job": tune.grid_search(jobs)},
         tune_config=tune.TuneConfig(trial_name_creator=name_of, trial_dirname_creator=name_of),
-        run_config=tune.RunConfig(name=FOLDER, storage_path=str(out), verbose=0, callbacks=[watch]),
-    ).fit()
+        run_config=tune.RunConfig(
+            name=FOLDER, storage_path=str(out), verbose=0, callbacks=[watch],
+            # of trials whose process died: those that fail otherwise say so and end as if they had finished
+            failure_config=tune.FailureConfig(max_failures=runs[0].config.faults.restarts),
+        ),
+    )
+    with stopping(watch.stop):
+        tuner.fit()
+    if watch.stopping:
+        raise KeyboardInterrupt
     for run in runs:
         if run.name not in watch.failures and not run_folder.evaluation_path(run.folder).exists():
             watch.failures[run.name] = "ended without an evaluation"
@@ -70,35 +81,60 @@ def name_of(trial):
     return trial.config["job"]["name"]
 
 
-def make_watch(base, progress):
-    """A Tune callback (a subclass of `base`) that passes on to `progress` what trials report, and keeps failures."""
+def make_watch(base, progress, folders):
+    """A Tune callback (a subclass of `base`) that passes on to `progress` what trials report, and keeps failures.
+
+    folders: of all runs, for `stop()`, which asks those that run to write a checkpoint and end.
+    """
 
     class Watch(base):
         def __init__(self):
-            self.failures, self._reported = {}, {}
+            self.failures, self._reported, self._running, self.stopping = {}, {}, set(), False
 
         def __reduce__(self):
             return base, ()  # Tune stores its callbacks on disk; this one is of no use there
 
+        def stop(self):
+            self.stopping = True
+            for folder in folders:
+                run_folder.stop_path(folder).touch()
+
         def on_trial_start(self, iteration, trials, trial, **info):
+            self._running.add(name_of(trial))
             progress.state(name_of(trial), RUNNING)
 
         def on_trial_result(self, iteration, trials, trial, result, **info):
             name = name_of(trial)
             if "failure" in result:
                 self._reported[name] = result["failure"]
+            elif "notice" in result:
+                progress.say(f"{name}: {result['notice']}")
             elif "phase" in result:
                 progress.state(name, EVALUATING)
             elif "iteration" in result:
                 progress.update(name, {key: result.get(key) for key in SHOWN})
 
         def on_trial_complete(self, iteration, trials, trial, **info):
-            progress.state(name_of(trial), DONE)
+            name = name_of(trial)
+            if name in self._reported:
+                self._fail(trial)
+            elif not self.stopping:
+                progress.state(name, DONE)
+            self._left(trial)
 
         def on_trial_error(self, iteration, trials, trial, **info):
+            self._fail(trial)
+            self._left(trial)
+
+        def _fail(self, trial):
             name = name_of(trial)
             self.failures[name] = self._reported.get(name) or unreported(trial)
             progress.state(name, FAILED, self.failures[name])
+
+        def _left(self, trial):
+            self._running.discard(name_of(trial))
+            if self.stopping and not self._running:
+                raise KeyboardInterrupt  # before the next row starts
 
     return Watch()
 

@@ -5,10 +5,12 @@ import json
 
 import pytest
 import ray
+from ray import exceptions
 
 from learner import checkpoint, learner
-from orchestrator.run import load_latest, train
-from orchestrator.runtime import shares
+from orchestrator import run
+from orchestrator.run import Stopped, load_latest, train
+from orchestrator.runtime import FAULTS, LocalRuntime, is_fault, shares
 from workers.worker import RolloutWorker
 
 
@@ -183,6 +185,84 @@ def test_the_checkpoint_holds_what_load_latest_says(finished):
     assert [policy.version for policy in content["policies"]] == [4, 5]
     assert len(content["thresholds"]) == 2 and content["workers"][0].clock == 40
     assert dataclasses.is_dataclass(content["workers"][0])
+
+
+@pytest.mark.parametrize("depth", [0, 1])
+def test_a_run_that_is_asked_to_stop_has_a_checkpoint_of_where_it_stopped(
+    depth, configure, tmp_path, tmp_path_factory, assert_same_bits
+):
+    whole = tmp_path_factory.mktemp("whole")
+    train(configure(pipeline_depth=depth), whole)
+    config = configure(pipeline_depth=depth, **{"checkpoint.every": 100})
+    asked = []
+    with pytest.raises(Stopped):
+        train(config, tmp_path, lambda metrics: asked.append(metrics["iteration"]), lambda: len(asked) >= 2)
+    done = len(lines(tmp_path))
+    assert 2 < done < 5 and state_of(tmp_path)["iteration"] == done  # nothing has to be done again
+    train(config, tmp_path)
+    assert_same_run(whole, tmp_path, assert_same_bits)
+
+
+class Faulty(LocalRuntime):
+    """Loses the learner when the iterations of `faults` are waited for; a runtime of one process has no such faults."""
+
+    faults, built = [], 0
+
+    def __init__(self, config, learner=None, curriculum=None, notice=None):
+        super().__init__(config, learner, curriculum)
+        Faulty.built += 1
+        self._updates = learner["updates"] if learner else 0
+
+    def update(self, chunks):
+        self._updates += 1
+        if self._updates in Faulty.faults:
+            Faulty.faults.remove(self._updates)
+            raise exceptions.ActorDiedError()
+        return super().update(chunks)
+
+
+@pytest.fixture
+def lose(monkeypatch):
+    """A function that lists the updates in which the learner is lost, each entry once."""
+    monkeypatch.setattr(run, "build_runtime", Faulty)
+
+    def fill(*updates):
+        Faulty.faults, Faulty.built = list(updates), 0
+
+    return fill
+
+
+def test_a_lost_learner_is_restored_from_the_checkpoint_and_its_iterations_repeated(
+    lose, finished, configure, tmp_path, assert_same_bits
+):
+    lose(1, 4, 4, 5)
+    said = []
+    assert train(configure(), tmp_path, notice=said.append) == finished[1]
+    assert_same_run(finished[0], tmp_path, assert_same_bits)
+    assert Faulty.built == 5 and len(said) == 4
+    assert "starts again" in said[0] and "checkpoint of iteration 2" in said[1]
+
+
+def test_a_fault_that_comes_back_every_time_ends_the_run(lose, configure, tmp_path):
+    lose(*[4] * 20)
+    with pytest.raises(exceptions.ActorDiedError):
+        train(configure(**{"faults.restarts": 2}), tmp_path)
+    assert Faulty.built == 3
+    # the second fault and those after it made no new iteration
+    assert len(lines(tmp_path)) == 3 or len(lines(tmp_path)) == 2
+
+
+def test_an_error_of_the_code_is_no_fault(configure, tmp_path, monkeypatch):
+    def broken(*_):
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(LocalRuntime, "observe", broken)
+    with pytest.raises(ValueError, match="a bug"):
+        train(configure(), tmp_path)
+    error = exceptions.RayTaskError("f", "traceback", ValueError("a bug")).as_instanceof_cause()
+    assert not isinstance(error, FAULTS)
+    lost = exceptions.RayTaskError("f", "traceback", exceptions.ActorDiedError()).as_instanceof_cause()
+    assert isinstance(lost, FAULTS) and is_fault(lost)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ def parts(monkeypatch):
     """`train` reports three iterations, `evaluate_run` writes a file; what they were called with."""
     calls = []
 
-    def train(config, where, report):
+    def train(config, where, report, stop, notice):
         calls.append("train")
         for iteration in (1, 2, 3):
             report({"iteration": iteration})
