@@ -47,6 +47,9 @@ class PPOConfig:
     """Adam's step size at the start."""
     target_kl: float | None = None
     """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
+    kl_half_life: int = 0
+    """Updates in which `target_kl` halves: first far steps, then small ones, that average the gradient's noise. 0: it
+    stays."""
     max_grad_norm: float = 1.0
     """Gradients are clipped to this norm."""
     max_skipped: int = 5

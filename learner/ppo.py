@@ -34,12 +34,19 @@ def policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip):
     return loss, divergence, clipped
 
 
+def target_divergence(config, updates):
+    """The KL divergence that a `PPOConfig` aims at after so many updates; None: the learning rate is fixed."""
+    if config.target_kl is None or not config.kl_half_life:
+        return config.target_kl
+    return config.target_kl * 0.5 ** (updates / config.kl_half_life)
+
+
 def adapt_learning_rate(rate, divergence, target):
     """The next learning rate: smaller if the KL divergence of the last epoch is over 1.5 target, larger below 1/1.5."""
     if target is None:
         return rate
     if divergence > 1.5 * target:
-        return max(rate / 1.3, 1e-5)
+        return max(rate / 1.3, 1e-7)
     if divergence < target / 1.5:
         return min(rate * 1.3, 3e-3)
     return rate

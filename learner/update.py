@@ -134,7 +134,7 @@ def update(state, chunks):
     finite = all(map(math.isfinite, metrics.values())) and state.is_finite()
     if finite:
         state.learning_rate = ppo.adapt_learning_rate(
-            state.learning_rate, float(divergence_sum) / batches, config.ppo.target_kl
+            state.learning_rate, float(divergence_sum) / batches, ppo.target_divergence(config.ppo, state.updates)
         )
         state.skipped = 0
     else:

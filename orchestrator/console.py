@@ -9,8 +9,8 @@ import threading
 
 from motion.errors import InputError
 
-POLITE = 5.0  # seconds that work asked to stop has for it
-GRACE = 8.0  # seconds that leaving may take in all after a signal
+POLITE = 4.0  # seconds that work asked to stop has for it
+GRACE = 7.0  # seconds that leaving may take in all after a signal
 
 _caught = []  # numbers of the signals so far
 _asked = []  # functions that ask running work to stop

@@ -1,4 +1,4 @@
-"""MLflow's address and runs: what orchestrator.tracking needs of it, with time limits on every call.
+"""MLflow's address and runs: what orchestrator.shipping needs of it, with time limits on every call.
 
 Nothing here may be called from a thread that trains: a server that does not answer costs the time limit.
 """
@@ -6,15 +6,20 @@ Nothing here may be called from a thread that trains: a server that does not ans
 import fcntl
 import json
 import os
-import re
 import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
-# Before mlflow is imported. A dead server must cost seconds, not the minutes of the defaults; users' values go before.
+from orchestrator.redaction import without_password
+
+# Before mlflow is imported. A dead server must cost seconds, not the minutes of the defaults.
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "1")
 os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "10")
+# No retries inside a call, whatever the user's environment says: MLflow would send the making of a run again too, and a
+# lost answer would give two runs. The tracker asks first what arrived, then sends the rest again.
+os.environ["MLFLOW_HTTP_REQUEST_MAX_RETRIES"] = "0"
+# at the end of a run MLflow prints its address, with the password in it
+os.environ["MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT"] = "true"
 
 ID_TAG = "segue.id"  # finds a run again whose creation was not noted before a crash
 
@@ -35,7 +40,11 @@ def address(config):
 
     SQLite paths become absolute, since trials run in other working directories.
     """
-    uri = os.environ.get("MLFLOW_TRACKING_URI") or config.tracking.uri or "sqlite:///mlflow.db"
+    return absolute(os.environ.get("MLFLOW_TRACKING_URI") or config.tracking.uri or "sqlite:///mlflow.db")
+
+
+def absolute(uri):
+    """The address, with the whole path where it is a SQLite file's."""
     path = sqlite_path(uri)
     return f"sqlite:///{path}" if path else uri
 
@@ -43,11 +52,6 @@ def address(config):
 def sqlite_path(uri):
     """Absolute path of a SQLite address's file, None for other addresses."""
     return Path(uri.removeprefix("sqlite:///")).absolute() if uri.startswith("sqlite:///") else None
-
-
-def without_password(uri):
-    """The address to show and to store: a password in it becomes ***."""
-    return re.sub(r"(://[^:/@]*):[^@/]*@", r"\1:***@", uri)
 
 
 def ui_hint(uri):
@@ -90,23 +94,22 @@ def ensure_experiment(client, uri, name):
 
 
 def ensure_run(client, uri, experiment_id, spec):
-    """Id of the spec's run, made (with its parent) if it is not there; its state becomes RUNNING if it is.
+    """Id of the spec's run, made (with its parent) if it is not there.
 
-    The folder's tracking.json remembers it. Safe against crashes and against several processes asking at once.
+    The folder's tracking.json remembers it. Safe against crashes and against several processes asking at once. The id
+    tag stays the same at every address, so that a run is found again where it was logged once, under whatever address.
     """
     parent_id = ensure_run(client, uri, experiment_id, spec.parent) if spec.parent else None
     with open(spec.folder / ".tracking.lock", "a") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         note = read_note(spec.folder)
         if note.get("uri") != without_password(uri):
-            note = {"uri": without_password(uri), "id": uuid.uuid4().hex}
+            note = {"uri": without_password(uri), "id": note.get("id") or uuid.uuid4().hex}
             write_note(spec.folder, note)
         run_id = find_run(client, experiment_id, note)
         if run_id is None:
             tags = {**spec.tags, ID_TAG: note["id"], **({"mlflow.parentRunId": parent_id} if parent_id else {})}
             run_id = client.create_run(experiment_id, tags=tags, run_name=spec.name).info.run_id
-        else:
-            client.update_run(run_id, status="RUNNING")
         write_note(spec.folder, {**note, "experiment_id": experiment_id, "run_id": run_id})
         return run_id
 
@@ -122,8 +125,11 @@ def find_run(client, experiment_id, note):
             if error.error_code != "RESOURCE_DOES_NOT_EXIST":
                 raise
         else:
-            return note["run_id"] if run.info.lifecycle_stage == "active" else None
-    found = client.search_runs([experiment_id], f"tags.`{ID_TAG}` = '{note['id']}'", max_results=1)
+            if run.info.lifecycle_stage == "active":
+                return note["run_id"]
+    # the oldest, should two processes have made it at the same moment
+    order = ["attributes.start_time ASC", "attributes.run_id ASC"]
+    found = client.search_runs([experiment_id], f"tags.`{ID_TAG}` = '{note['id']}'", max_results=1, order_by=order)
     return found[0].info.run_id if found else None
 
 
@@ -137,20 +143,25 @@ def read_note(folder):
 
 def write_note(folder, note):
     """Write a folder's tracking.json at once or not at all."""
-    temporary = Path(folder) / "tracking.json.tmp"
-    temporary.write_text(json.dumps(note, indent=2) + "\n")
-    os.replace(temporary, Path(folder) / "tracking.json")
+    write_json(Path(folder) / "tracking.json", note)
+
+
+def write_json(path, content):
+    """Write a file at once or not at all."""
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_text(json.dumps(content, indent=2) + "\n")
+    os.replace(temporary, path)
 
 
 def log_params(client, run_id, params):
     """Log those parameters that the run does not have. MLflow never changes one: a new value goes into a tag."""
     from mlflow.entities import Param
 
-    there = client.get_run(run_id).data.params
+    data = client.get_run(run_id).data
     params = {key: value[:6000] for key, value in params.items()}
-    new = [Param(key, value) for key, value in params.items() if key not in there]
+    new = [Param(key, value) for key, value in params.items() if key not in data.params]
     for first in range(0, len(new), 100):
         client.log_batch(run_id, params=new[first : first + 100])
     for key, value in params.items():
-        if key in there and there[key] != value:
+        if key in data.params and value != data.tags.get(f"changed.{key}", data.params[key]):
             client.set_tag(run_id, f"changed.{key}", value)

@@ -48,6 +48,8 @@ def describe(error):
     """A fault in a few words."""
     if isinstance(error, Hung):
         return str(error)
+    if isinstance(error, exceptions.ActorUnavailableError):
+        return "an actor cannot be reached"
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     who = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("class_name:")), None)
     return f"{who} died" if who else f"{type(error).__name__}: {lines[0] if lines else 'no message'}"[:200]

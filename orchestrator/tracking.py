@@ -1,26 +1,36 @@
 """Log runs to MLflow from a thread of their own. Training never waits for it, and no step is lost or doubled.
 
-metrics.jsonl is the spool: the thread ships its lines in batches, in order, and takes up behind the last step that
-MLflow has. A server that is away is asked again until the run ends; what it did not take stays in metrics.jsonl.
+usage: python -m orchestrator.tracking sync FOLDER... [tracking.uri=ADDRESS]
+
+  python -m orchestrator.tracking sync runs/ablation                all runs of a sweep
+  python -m orchestrator.tracking sync runs/ablation/ours-seed0     one run, and its sweep's own entry
+
+`sync` ships to MLflow what could not be shipped while the runs ran, or all of it to another server. What is there
+already stays as it is: running it twice changes nothing. Address: MLFLOW_TRACKING_URI, else tracking.uri=, else
+where the run was to be logged (passwords are never stored, so that an address with one has to be given again).
 """
 
-import json
-import math
+# metrics.jsonl is the spool: the thread ships its lines in batches, in order, and takes up behind the last step that
+# MLflow has (orchestrator/shipping.py). A server that is away is asked again until the run ends; what it did not take
+# stays in the run's folder.
+
+import contextlib
 import re
 import subprocess
+import sys
 import threading
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from orchestrator import mlflow_store
-from orchestrator.folder import metrics_path
+from orchestrator import spool
 from orchestrator.mlflow_store import RunSpec
 from orchestrator.plan import run_name
+from orchestrator.redaction import redact, without_password
 from orchestrator.settings import flatten
+from orchestrator.shipping import Shipper
 from orchestrator.validate import shown
 
-BATCH = 1000  # values per call, MLflow's limit
 INTERVAL = 2.0  # seconds between batches
 RETRY = 15.0  # seconds between attempts while the server is away
 RETRY_CLOSING = 1.0  # the same once the run has ended
@@ -35,15 +45,16 @@ class Tracker:
 
     def __init__(self, uri, experiment, spec, warn=lambda line: None):
         self._uri, self._experiment, self._spec, self._warn = uri, experiment, spec, warn
-        self._client = self._run_id = self._error = None
-        self._offset = self._shipped = 0
-        self._final = None  # (status, metrics, files, time in ms) once the run has ended
+        self._shipper = self._error = None
+        self._final = None  # `spool.Final` once the run has ended
         self._lines, self._ended = threading.Event(), threading.Event()
         self._ready, self._done = threading.Event(), threading.Event()
+        self._arrived = False
+        spool.record_spec(spec, experiment, uri)
         threading.Thread(target=self._work, name="mlflow", daemon=True).start()
 
     def wake(self):
-        """There are new lines in metrics.jsonl, which from now on only grows. Returns at once."""
+        """There are new lines in metrics.jsonl. Returns at once."""
         self._lines.set()
 
     def wait_ready(self, timeout):
@@ -55,29 +66,37 @@ class Tracker:
     def finish(self, status, metrics=None, files=(), timeout=30.0):
         """Ship the rest, log final metrics and files (paths), set the run's status (FINISHED, FAILED, KILLED).
 
-        Waits at most `timeout` seconds, less if MLflow has not answered before. True if all arrived.
+        Waits at most `timeout` seconds, less if MLflow has not answered before. True if all arrived; else the run's
+        folder keeps the rest for `sync`.
         """
-        self._final = (status, metrics or {}, [Path(file) for file in files], int(time.time() * 1000))
+        self._final = final_of(self._spec.folder, status, metrics or {}, files)
+        with contextlib.suppress(OSError):  # a full disk must not hide what it has caused; `sync` does without
+            spool.record_final(self._spec.folder, self._final)
         self._lines.set()
         self._ended.set()
-        return self._done.wait(min(timeout, 5.0) if self._error else timeout)
+        self._done.wait(min(timeout, 5.0) if self._error else timeout)
+        self._done.set()  # whoever ships next shall be the only one
+        return self._arrived
 
     def _work(self):
         while not self._done.is_set():
             final = self._final  # read first: all lines written before `finish` are shipped before the run is closed
             try:
-                if self._client is None:
-                    self._connect()
+                if self._shipper is None:
+                    self._shipper = Shipper(self._uri, self._experiment, self._spec)
+                    if final is None:
+                        self._shipper.running()
                 if self._lines.is_set():
                     self._lines.clear()
-                    self._ship()
+                    self._shipper.ship()
                 if final is not None:
-                    self._close(*final)
+                    self._shipper.close(final)
+                    self._arrived = True
                     self._done.set()
                 self._error = None
             except Exception as error:  # whatever a store raises must not end the thread, let alone the training
-                # the call may have had its effect all the same: connect again, which asks MLflow where it stands
-                self._client = None
+                # the call may have had its effect all the same: a new shipper asks MLflow where it stands
+                self._shipper = None
                 self._lines.set()
                 self._failed(error)
             self._ready.set()
@@ -85,84 +104,39 @@ class Tracker:
 
     def _pause(self):
         if self._ended.is_set():
-            time.sleep(RETRY_CLOSING if self._error else 0)
+            self._done.wait(RETRY_CLOSING if self._error else 0)
         else:
             self._ended.wait(RETRY if self._error else INTERVAL)
             self._lines.wait()
 
     def _failed(self, error):
         first = self._error is None
-        lines = str(error).strip().splitlines()
-        self._error = lines[0][:200] if lines else type(error).__name__
+        self._error = one_line(error, self._uri)
         if first:
-            uri = mlflow_store.without_password(self._uri)
             self._warn(
-                f"MLflow at {uri} does not answer; training goes on, metrics stay in metrics.jsonl ({self._error})"
+                f"MLflow at {without_password(self._uri)} does not answer; training goes on, metrics stay in "
+                f"metrics.jsonl ({self._error})"
             )
 
-    def _connect(self):
-        client = mlflow_store.make_client(self._uri)
-        experiment_id = mlflow_store.ensure_experiment(client, self._uri, self._experiment)
-        run_id = mlflow_store.ensure_run(client, self._uri, experiment_id, self._spec)
-        mlflow_store.log_params(client, run_id, self._spec.params)
-        # `iteration` is in every batch with its own step as value: the last one that MLflow has
-        self._shipped, self._offset = int(client.get_run(run_id).data.metrics.get("iteration", 0)), 0
-        self._client, self._run_id = client, run_id
 
-    def _ship(self):
-        path = metrics_path(self._spec.folder)
-        while path.exists() and (batch := self._next_batch(path)):
-            metrics, offset, step = batch
-            if metrics:
-                self._client.log_batch(self._run_id, metrics=metrics)
-            self._offset, self._shipped = offset, step
+def one_line(error, uri):
+    """What an error of MLflow says, in one line and without secrets."""
+    lines = redact(str(error), uri).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__
 
-    def _next_batch(self, path):
-        """(metrics, offset behind them, last step) of the next whole lines that fit in a batch; None if there are none.
 
-        Lines of steps that MLflow has are skipped.
-        """
-        from mlflow.entities import Metric
-
-        metrics, offset, last = [], self._offset, self._shipped
-        with open(path, "rb") as file:
-            file.seek(offset)
-            for raw in file:
-                if not raw.endswith(b"\n"):
-                    break
-                line = json.loads(raw)
-                step = int(line["iteration"])
-                if step > last:
-                    values = [
-                        Metric(key, float(value), int(1000 * line["perf/time"]), step)
-                        for key, value in line.items()
-                        if isinstance(value, (int, float)) and math.isfinite(value)
-                    ]
-                    if metrics and len(metrics) + len(values) > BATCH:
-                        break
-                    metrics += values
-                    last = step
-                offset += len(raw)
-        return (metrics, offset, last) if offset > self._offset else None
-
-    def _close(self, status, metrics, files, milliseconds):
-        from mlflow.entities import Metric
-
-        values = [
-            Metric(key, float(value), milliseconds, self._shipped)
-            for key, value in metrics.items()
-            if value is not None and math.isfinite(value)
-        ]
-        if values:
-            self._client.log_batch(self._run_id, metrics=values)
-        for file in files:
-            if file.exists():
-                self._client.log_artifact(self._run_id, str(file))
-        self._client.set_terminated(self._run_id, status)
+def final_of(folder, status, metrics, files):
+    """`spool.Final` of a run that ends now."""
+    names = [Path(file).relative_to(folder) if Path(file).is_relative_to(folder) else file for file in files]
+    return spool.Final(status, int(time.time() * 1000), metrics, tuple(map(str, names)))
 
 
 class NoTracker:
-    """Stands for a `Tracker` where `tracking.enabled` is false."""
+    """Stands for a `Tracker` where `tracking.enabled` is false: keeps in the folder what `sync` would need."""
+
+    def __init__(self, experiment, spec):
+        self._folder = spec.folder
+        spool.record_spec(spec, experiment, None)
 
     def wake(self):
         """Nothing to log."""
@@ -172,6 +146,8 @@ class NoTracker:
 
     def finish(self, status, metrics=None, files=(), timeout=0.0):
         """Nothing to log."""
+        with contextlib.suppress(OSError):
+            spool.record_final(self._folder, final_of(self._folder, status, metrics or {}, files))
         return True
 
 
@@ -185,7 +161,7 @@ class Tracking:
 
     def start(self, spec, warn=lambda line: None):
         """A `Tracker` of a run."""
-        return NoTracker() if self.uri is None else Tracker(self.uri, self.experiment, spec, warn)
+        return NoTracker(self.experiment, spec) if self.uri is None else Tracker(self.uri, self.experiment, spec, warn)
 
 
 def run_spec(config, folder, parent=None):
@@ -206,3 +182,16 @@ def commit_tag():
     except (OSError, subprocess.TimeoutExpired):
         return {}
     return {"git_commit": result.stdout.strip()} if result.returncode == 0 else {}
+
+
+def main(arguments):
+    """Command line; returns the exit status, 0 only if MLflow has everything."""
+    from orchestrator.sync import sync_command
+
+    return sync_command(arguments)
+
+
+if __name__ == "__main__":
+    from orchestrator.console import run_command
+
+    sys.exit(run_command(main, __doc__, sys.argv[1:]))

@@ -6,34 +6,34 @@ usage: python -m orchestrator.train [key=value ...]
   python -m orchestrator.train sbc.enabled=false row=no_sbc seed=3 out=runs/mine
   python -m orchestrator.train runtime=local scale=smoke        everything in this process, for debugging
 
-The same command continues a run that was interrupted. out= is the run's folder, default runs/train/ROW-seedK. MLflow
-and Ray as for a sweep (python -m orchestrator.sweep --help). All keys: python -m orchestrator.settings
+The same command continues a run that was interrupted; so does resume=FOLDER, with the configuration in that folder.
+out= is the run's folder, default runs/train/ROW-seedK. MLflow and Ray as for a sweep (python -m orchestrator.sweep
+--help). All keys: python -m orchestrator.settings
 """
 
 import sys
 import threading
 from pathlib import Path
 
+from motion.errors import InputError
 from motion.state_machine import build_state_machine
 from orchestrator import folder as run_folder
 from orchestrator import mlflow_store
 from orchestrator.console import catch_signals, run_command, stopping
 from orchestrator.plan import Run, run_name
 from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, samples
-from orchestrator.settings import Layer, build, command_line
+from orchestrator.settings import Layer, build, command_line, load
 from orchestrator.sweep import with_device
 from orchestrator.table import COLUMNS, cell
 from orchestrator.tracking import Tracking
 
 EXPERIMENT = "train"
+RESUME = "resume="
 
 
 def main(arguments):
     """Command line; returns the exit status, 0 only if the run finished."""
-    command = command_line(arguments)
-    config = build([command])
-    folder = Path(config.out or Path("runs", "train", run_name(config.row, config.seed))).absolute()
-    config = build([command, Layer({"out": str(folder)}, "default")])
+    config, folder = resumed(arguments) if any(map(is_resume, arguments)) else configured(arguments)
     build_state_machine(config.motions)
     run_folder.check_writable(folder)
     run = Run(config, folder)
@@ -43,6 +43,28 @@ def main(arguments):
         return 1
     conclude(run)
     return 0
+
+
+def configured(arguments):
+    """(configuration, folder) of a new run, or of one that the same command began."""
+    command = command_line(arguments)
+    config = build([command])
+    folder = Path(config.out or Path("runs", "train", run_name(config.row, config.seed))).absolute()
+    return build([command, Layer({"out": str(folder)}, "default")]), folder
+
+
+def is_resume(argument):
+    """Whether an argument is resume=FOLDER."""
+    return argument.startswith(RESUME)
+
+
+def resumed(arguments):
+    """(configuration, folder) of the run in the folder that resume= names; other arguments lie over it."""
+    folder = Path(next(filter(is_resume, arguments)).removeprefix(RESUME)).expanduser().absolute()
+    path = run_folder.config_path(folder)
+    if not path.exists():
+        raise InputError(f"{RESUME}{folder}: holds no config.yaml; give the folder of a run, e.g. runs/NAME/ours-seed0")
+    return load(path, [argument for argument in arguments if not is_resume(argument)]), folder
 
 
 def announce(run, state):

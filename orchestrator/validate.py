@@ -72,6 +72,7 @@ RULES = {
     "ppo.minibatch_size": at_least(1),
     "ppo.learning_rate": above(0),
     "ppo.target_kl": above(0),
+    "ppo.kl_half_life": at_least(0),
     "ppo.max_grad_norm": above(0),
     "ppo.max_skipped": at_least(1),
     "ppo.timeout": choice("terminal", "bootstrap"),

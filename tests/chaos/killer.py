@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import secrets
 import signal
 import sqlite3
 import subprocess
@@ -15,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
-MARK = "SEGUE_CHAOS"  # a variable that all processes of a run inherit
 
 # victim -> (signal, share of the kills). Worker, learner, curriculum are Ray's actors; driver is the command itself
 VICTIMS = {
@@ -121,7 +119,7 @@ class _Run:
 
     def __init__(self, folder, seed, runtime):
         self.folder, self.starts, self._process = Path(folder), 0, None
-        self._mark = secrets.token_hex(8)
+        self._sessions = set()
         self._log = Path(f"{folder}.log")
         self.folder.parent.mkdir(parents=True, exist_ok=True)
         self._command = [
@@ -131,13 +129,14 @@ class _Run:
 
     def start(self):
         """Start the command, which continues the run."""
-        environment = {**os.environ, MARK: self._mark, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
         for name in ("RAY_ADDRESS", "RAY_JOB_ID", "MLFLOW_TRACKING_URI"):
             environment.pop(name, None)
         with open(self._log, "ab") as log:
             self._process = subprocess.Popen(
                 self._command, env=environment, stdout=log, stderr=log, cwd=self.folder.parent, start_new_session=True
             )
+        self._sessions.add(self._process.pid)
         self.starts += 1
 
     def wait(self):
@@ -195,10 +194,11 @@ class _Run:
         return False
 
     def _pids(self):
-        mark, found = f"{MARK}={self._mark}".encode(), []
+        """Processes of the sessions that the command was started in: it, Ray's and their actors."""
+        found = []
         for path in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
-                if mark in (path / "environ").read_bytes().split(b"\0"):
+                if os.getsid(int(path.name)) in self._sessions:
                     found.append(int(path.name))
         return sorted(found)
 

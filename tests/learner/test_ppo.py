@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from learner import ppo
+from learner.config import PPOConfig
 from learner.update import LearnerState, update
 
 
@@ -178,4 +179,11 @@ def test_the_learning_rate_stays_in_its_range():
     low, high = 1e-3, 1e-3
     for _ in range(50):
         low, high = ppo.adapt_learning_rate(low, 1.0, 0.1), ppo.adapt_learning_rate(high, 0.0, 0.1)
-    assert (low, high) == (1e-5, 3e-3)
+    assert (low, high) == (1e-7, 3e-3)
+
+
+def test_the_divergence_aimed_at_halves_every_half_life():
+    assert ppo.target_divergence(PPOConfig(target_kl=0.2), 1000) == 0.2
+    assert ppo.target_divergence(PPOConfig(kl_half_life=50), 100) is None
+    config = PPOConfig(target_kl=0.2, kl_half_life=50)
+    assert [ppo.target_divergence(config, k) for k in (0, 50, 150)] == pytest.approx([0.2, 0.1, 0.025])

@@ -210,8 +210,10 @@ def test_a_stopped_run_says_how_to_continue_and_does(tmp_path):
     assert process.returncode == 143 and time.monotonic() - began < 10
     assert "the same command continues: python -m orchestrator.train scale=smoke" in output
     assert not (tmp_path / "run" / "error.txt").exists()
-    status, output = run("train", tmp_path, *arguments)
+    assert lines_of(tmp_path / "run") == int(sorted((tmp_path / "run" / "checkpoints").glob("*.pt"))[-1].stem)
+    status, output = run("train", tmp_path, "resume=run")
     assert status == 0 and lines_of(tmp_path / "run") == 300
+    assert run("train", tmp_path, *arguments)[0] == 0  # the same command finds it finished
     assert "at the final accuracy: FRPD" in output
     client = mlflow_store.make_client(f"sqlite:///{tmp_path}/mlflow.db")
     (logged,) = client.search_runs([client.get_experiment_by_name("train").experiment_id])
