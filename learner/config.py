@@ -18,7 +18,7 @@ class PolicyConfig:
     """The Gaussian policy (section 5)."""
 
     log_sigma: float = -2.9
-    """Log of the fixed standard deviation of actions in training."""
+    """Log of the fixed standard deviation of the network's actions in training; `action.scale` times it in radians."""
     noise_window: int = 1
     """Noise is the moving average of this many independent draws, scaled back to the same deviation. 1, the paper:
     independent at every step. More: a push lasts several steps, so that it shows in how the episode ends."""
@@ -26,7 +26,7 @@ class PolicyConfig:
     """k: the environments 0, k, 2k, ... act as in the evaluation, with independent noise of `judge_log_sigma`; PPO does
     not learn from them, and they alone move the curriculum. 0, the paper: none; all explore and all are counted."""
     judge_log_sigma: float = -3.7
-    """Log of the standard deviation of judging environments' actions."""
+    """Log of the standard deviation of judging environments' actions, in radians (as `evaluation.log_sigma`)."""
 
 
 @dataclass

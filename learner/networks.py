@@ -1,5 +1,6 @@
 """Policy and value networks: two separate MLPs (section 5)."""
 
+import math
 from dataclasses import asdict
 
 import numpy as np
@@ -32,10 +33,11 @@ def build_networks(config, seed, device):
     return policy.to(device), value.to(device)
 
 
-def snapshot(policy, normalizer, config, version):
+def snapshot(policy, normalizer, config, action_scale, version):
     """The `workers.types.Policy` of a policy network and its observation normalizer: numpy, detached from training.
 
-    config: `learner.config.PolicyConfig`. version: number of updates that made it.
+    config: `learner.config.PolicyConfig`. action_scale: radians per unit of its output. version: number of updates that
+    made it.
     """
     layers = [layer for layer in policy if isinstance(layer, nn.Linear)]
     mean, scale = normalizer.mean_and_scale()
@@ -45,5 +47,5 @@ def snapshot(policy, normalizer, config, version):
         observation_mean=mean.cpu().numpy().astype(np.float32),
         observation_scale=scale.cpu().numpy().astype(np.float32),
         version=version,
-        **asdict(config),
+        **{**asdict(config), "judge_log_sigma": config.judge_log_sigma - math.log(action_scale)},
     )

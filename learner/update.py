@@ -40,7 +40,7 @@ class LearnerState:
 
     def snapshot(self):
         """The `workers.types.Policy` to act with."""
-        return snapshot(self.policy, self.observations, self.config.policy, self.updates)
+        return snapshot(self.policy, self.observations, self.config.policy, self.action.scale, self.updates)
 
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint; shares memory with the networks."""

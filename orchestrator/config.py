@@ -78,9 +78,9 @@ class EvaluationConfig:
     num_envs: int = 256
     """Simulations at a time."""
     log_sigma: float = -3.7
-    """Log of the actions' standard deviation."""
+    """Log of the actions' standard deviation in radians, whatever `action.scale` is."""
     robustness_log_sigmas: list[float] = field(default_factory=lambda: [-4.1, -3.7, -3.3, -2.9, -2.5])
-    """Candidates for MS, the largest noise at which every task is reached."""
+    """Candidates for MS, the largest noise (in radians) at which every task is reached."""
 
 
 @dataclass

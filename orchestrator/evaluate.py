@@ -39,7 +39,7 @@ def run_tasks(config, library, policy, tasks, limits, log_sigma):
     """The `Outcomes` of tasks (M, 4), one episode each, ordered as the tasks; `environment` holds the task's number.
 
     The actions' noise is a function of (seed, task, step): the numbers do not depend on how many simulations run at a
-    time. log_sigma: log of the actions' deviation; -inf for none. limits: `Thresholds`.
+    time. log_sigma: log of the actions' deviation in radians; -inf for none. limits: `Thresholds`.
     """
     count = min(config.evaluation.num_envs, len(tasks))
     threads = config.learner_threads + config.num_workers * config.worker_threads
@@ -47,7 +47,7 @@ def run_tasks(config, library, policy, tasks, limits, log_sigma):
     full = replace(config, reward=RewardConfig(key_body_frame=config.reward.key_body_frame))
     env = Environment(full, library, count, threads)
     network = PolicyNetwork(policy, count)
-    sigma = math.exp(log_sigma)
+    sigma = math.exp(log_sigma) / config.action.scale
     number = np.arange(count)
     env.task[:] = tasks[:count]
     env.begin(number)

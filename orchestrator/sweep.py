@@ -50,8 +50,8 @@ def main(arguments):
                 raise
         content = table.collect(plan.runs, failures)
         paths = table.write(plan.out, content)
-        if parent:
-            parent.finish("FAILED" if failures else "FINISHED", files=paths)
+        if parent and not parent.finish("FAILED" if failures else "FINISHED", files=paths):
+            print(f"MLflow lacks some of it; to ship that: python -m orchestrator.tracking sync {plan.out}")
     conclude(plan, content, paths)
     for name, why in failures.items():
         print(f"failed:  {name}: {why} (all of it: {plan.out / name / 'error.txt'})", file=sys.stderr)

@@ -22,14 +22,14 @@ def execute(config, folder, tracking, report, warn=lambda line: None, notice=Non
     """Do all that is left of a run in its prepared folder; returns evaluation.json's content.
 
     report: called with every iteration's metrics, and with {"phase": EVALUATING} in between. warn: called with lines of
-    text, from any thread; notice (default: warn) with those about faults, from this thread. When stop() becomes true,
+    text, from any thread; notice (default: warn) with others, from this thread alone. When stop() becomes true,
     `orchestrator.run.Stopped` is raised after a checkpoint. An error leaves error.txt.
     """
-    folder = Path(folder)
+    folder, notice = Path(folder), notice or warn
     with run_folder.exclusive(folder, STALE_LOCK):
         tracker = tracking.start(run_spec(config, folder, tracking.parent), warn)
         try:
-            train(config, folder, lambda metrics: (tracker.wake(), report(metrics)), stop, notice or warn)
+            train(config, folder, lambda metrics: (tracker.wake(), report(metrics)), stop, notice)
             report({"phase": EVALUATING})
             evaluation = evaluate_run(folder, config)
         except BaseException as error:
@@ -41,7 +41,7 @@ def execute(config, folder, tracking, report, warn=lambda line: None, notice=Non
             raise
         (folder / "error.txt").unlink(missing_ok=True)
         if not tracker.finish("FINISHED", *logged_at_end(folder, config, evaluation)):
-            warn(f"{folder.name}: MLflow lacks some of it; to ship that: python -m orchestrator.tracking sync {folder}")
+            notice(f"MLflow lacks some of it; to ship that: python -m orchestrator.tracking sync {folder}")
         return evaluation
 
 

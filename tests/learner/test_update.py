@@ -199,6 +199,13 @@ def test_ppo_learns_from_exploring_environments_only(lessons, make_config, asser
             assert not np.array_equal(got.snapshot().weights[0], wanted.snapshot().weights[0])
 
 
+def test_judges_have_the_evaluations_noise_in_radians(make_config):
+    config = make_config({"action.scale": 2.5, "policy.judges": 8, "policy.noise_window": 3})
+    policy = learner(config).snapshot()
+    assert 2.5 * np.exp(policy.judge_log_sigma) == pytest.approx(np.exp(config.evaluation.log_sigma))
+    assert (policy.judges, policy.noise_window, policy.log_sigma) == (8, 3, config.policy.log_sigma)
+
+
 # ----------------------------------------------------------------------------------------------------- skipped updates
 
 COUNTERS = ("updates", "skipped")

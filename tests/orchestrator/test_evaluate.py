@@ -137,6 +137,14 @@ def test_doing_nothing_does_not_reach_the_final_accuracy(library, make_config, n
     assert (episodes.steps[episodes.end == TIMED_OUT] == 60).all() and metrics["TS"] <= 60
 
 
+def test_the_noise_is_in_radians_whatever_the_actions_scale(library, make_config, nothing, tasks, assert_same_bits):
+    results = [
+        run_tasks(make_config({"action.mode": "target", "action.scale": scale}), library, nothing, tasks, LIMITS, -2.0)
+        for scale in (1.0, 4.0)
+    ]
+    assert_same_bits(*results)
+
+
 def test_returns_count_the_full_reward_whatever_the_row_was_trained_with(
     library, make_config, make_policy, tasks, assert_same_bits
 ):
