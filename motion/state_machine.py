@@ -32,6 +32,10 @@ class ClipConfig:
     start: float = 0.0
     # s; [first, last] moment at which a transition may leave this clip; [] is the whole clip
     cancel: list[float] = field(default_factory=list)
+    # s; the music's beats in this clip, for one-hop transitions that keep time; [] is none known
+    beats: list[float] = field(default_factory=list)
+    # a word such as "fight"; one-hop transitions may be charged for a hop through another genre
+    genre: str | None = None
 
 
 @dataclass
