@@ -9,7 +9,7 @@ demo: $(VENV)/ready  ## the ablation sweep on the built-in clips, about 10 minut
 	$(RUN) -m orchestrator.sweep sweeps/ablation.yaml scale=demo
 
 test: $(VENV)/ready  ## the default suite
-	$(RUN) -m pytest
+	$(RUN) -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/ready  ## style
 	$(RUN) -m ruff check .

@@ -47,9 +47,11 @@ class PPOConfig:
     """Adam's step size at the start."""
     target_kl: float | None = None
     """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
-    kl_half_life: int = 0
-    """Updates in which `target_kl` halves: first far steps, then small ones, that average the gradient's noise. 0: it
-    stays."""
+    final_kl: float | None = None
+    """`target_kl` goes to this in a straight line over the first `kl_updates` updates: first far steps, then small ones,
+    that average the gradient's noise. None: it stays."""
+    kl_updates: int = 0
+    """Updates until `final_kl` is reached."""
     max_grad_norm: float = 1.0
     """Gradients are clipped to this norm."""
     max_skipped: int = 5

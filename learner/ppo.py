@@ -36,9 +36,10 @@ def policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip):
 
 def target_divergence(config, updates):
     """The KL divergence that a `PPOConfig` aims at after so many updates; None: the learning rate is fixed."""
-    if config.target_kl is None or not config.kl_half_life:
+    if config.target_kl is None or config.final_kl is None:
         return config.target_kl
-    return config.target_kl * 0.5 ** (updates / config.kl_half_life)
+    done = min(updates / config.kl_updates, 1.0) if config.kl_updates else 1.0
+    return config.target_kl + done * (config.final_kl - config.target_kl)
 
 
 def adapt_learning_rate(rate, divergence, target):

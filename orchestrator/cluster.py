@@ -6,6 +6,8 @@ import shutil
 
 # Before Ray starts its processes. Its own niceness of 15 lets actors starve beside anything else that the machine does.
 os.environ.setdefault("RAY_worker_niceness", "0")
+# Seconds until Ray gives up starting here: its own 30 are too few for a machine that is busy
+os.environ.setdefault("RAY_raylet_start_wait_time_s", "120")
 # A lost actor fails what waits for it, which is met where it is waited for: no need to print the rest
 os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")
 

@@ -69,5 +69,7 @@ def run_command(main, doc, arguments):
         return 2
     except KeyboardInterrupt:
         command = shlex.join(["python", "-m", sys.modules["__main__"].__spec__.name, *arguments])
-        print(f"stopped; the same command continues: {command}", file=sys.stderr)
-        return 128 + (_caught[0] if _caught else signal.SIGINT)
+        print(f"stopped; the same command continues: {command}", file=sys.stderr, flush=True)
+        sys.stdout.flush()
+        # at once: while Python's own end waits for libraries, the timer's thread no longer runs
+        os._exit(128 + (_caught[0] if _caught else signal.SIGINT))

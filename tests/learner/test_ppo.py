@@ -182,8 +182,9 @@ def test_the_learning_rate_stays_in_its_range():
     assert (low, high) == (1e-7, 3e-3)
 
 
-def test_the_divergence_aimed_at_halves_every_half_life():
+def test_the_divergence_aimed_at_goes_to_its_final_value_in_a_straight_line_and_stays():
     assert ppo.target_divergence(PPOConfig(target_kl=0.2), 1000) == 0.2
-    assert ppo.target_divergence(PPOConfig(kl_half_life=50), 100) is None
-    config = PPOConfig(target_kl=0.2, kl_half_life=50)
-    assert [ppo.target_divergence(config, k) for k in (0, 50, 150)] == pytest.approx([0.2, 0.1, 0.025])
+    assert ppo.target_divergence(PPOConfig(final_kl=0.1, kl_updates=50), 100) is None
+    config = PPOConfig(target_kl=0.2, final_kl=0.1, kl_updates=50)
+    assert [ppo.target_divergence(config, k) for k in (0, 25, 50, 90)] == pytest.approx([0.2, 0.15, 0.1, 0.1])
+    assert ppo.target_divergence(PPOConfig(target_kl=0.2, final_kl=0.1), 0) == 0.1
