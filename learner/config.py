@@ -48,7 +48,7 @@ class PPOConfig:
     target_kl: float | None = None
     """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
     final_kl: float | None = None
-    """`target_kl` goes to this in a straight line over the first `kl_updates` updates: first far steps, then small ones,
+    """`target_kl` goes to this in a straight line over the first `kl_updates` updates: first far steps, then small ones
     that average the gradient's noise. None: it stays."""
     kl_updates: int = 0
     """Updates until `final_kl` is reached."""

@@ -29,13 +29,13 @@ def main():
         report = disturbed(folder / f"run{number}", kills, reference)
         reports.append(report)
         left -= len(report.recovery)
-        number += 1
         print(
             f"run {number}: {len(report.recovery)} faults, {report.starts} starts of the command, "
             f"{report.wrong_lines} wrong lines, {report.wrong_steps} wrong steps in MLflow, "
             f"{'identical' if report.identical else 'DIFFERENT'}, {report.seconds:.0f} s",
             flush=True,
         )
+        number += 1
     print(f"\n{'victim':18s} {'faults':>6s} {'recovery, median':>17s} {'longest':>9s}")
     for victim in VICTIMS:
         times = [seconds for report in reports for name, seconds in report.recovery if name == victim]
