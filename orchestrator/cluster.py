@@ -3,11 +3,10 @@
 import logging
 import os
 import shutil
+import sys
 
 # Before Ray starts its processes. Its own niceness of 15 lets actors starve beside anything else that the machine does.
 os.environ.setdefault("RAY_worker_niceness", "0")
-# Seconds until Ray gives up starting here: its own 30 are too few for a machine that is busy
-os.environ.setdefault("RAY_raylet_start_wait_time_s", "120")
 # A lost actor fails what waits for it, which is met where it is waited for: no need to print the rest
 os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")
 
@@ -18,6 +17,7 @@ from motion.errors import InputError  # noqa: E402
 LOCAL_OBJECT_STORE = 512 * 1024**2  # bytes, at least; shared memory is only touched as it is used
 BYTES_PER_SAMPLE = 4096  # of a chunk in the object store: observations, actions, poses as float32
 CHUNKS_IN_FLIGHT = 8
+TRIES = 3  # to start a cluster here
 
 
 def connect(samples_per_iteration):
@@ -38,7 +38,20 @@ def connect(samples_per_iteration):
             ) from error
     else:
         size = max(LOCAL_OBJECT_STORE, samples_per_iteration * BYTES_PER_SAMPLE * CHUNKS_IN_FLIGHT)
-        ray.init(address="local", include_dashboard=False, object_store_memory=fitting_store(size), **quiet)
+        start_here(include_dashboard=False, object_store_memory=fitting_store(size), **quiet)
+
+
+def start_here(**options):
+    """Start a cluster on this machine. Tried again: on a busy one, parts that wait for each other give up too early."""
+    for left in reversed(range(TRIES)):
+        try:
+            ray.init(address="local", **options)
+            return
+        except Exception as error:  # Ray raises no narrower class
+            ray.shutdown()
+            if not left or "timed out during startup" not in str(error):
+                raise
+            print(f"Ray did not start in time; {left} more tries", file=sys.stderr)
 
 
 def fitting_store(size):

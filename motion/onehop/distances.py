@@ -31,7 +31,7 @@ class Workspace:
 
     def __init__(self):
         self.products = np.empty(0, np.float32)
-        self.sums = np.empty((4, ROWS + 4096), np.float32)
+        self.sums = np.empty((3, ROWS + 4096), np.float32)
 
     def take(self, size):
         if len(self.products) < size:
@@ -91,7 +91,7 @@ def _windows(gz, gc, tiles, h, mean, col_h, col_mean, low, scale, taps, uniform,
                 _weighted(gc, 0, sums[1], row, base, f0, width, taps)
                 _weighted(gc, frames, sums[2], row, base, f0, width, taps)
             _bound(
-                sums[0][base : base + width], sums[1][base : base + width], sums[2][base : base + width], sums[3],
+                sums[0][base : base + width], sums[1][base : base + width], sums[2][base : base + width],
                 h[row], mean[0, row], mean[1, row], col_h[offset : offset + width],
                 col_mean[0][offset : offset + width], col_mean[1][offset : offset + width], low[tile], scale,
                 out[row][col0 : col0 + width],
@@ -100,15 +100,11 @@ def _windows(gz, gc, tiles, h, mean, col_h, col_mean, low, scale, taps, uniform,
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _bound(height, re, im, work, h, mx, my, col_h, col_x, col_y, low, scale, out):
-    # separate loops, because the compiler turns only those with few arrays into vector code
+def _bound(height, re, im, h, mx, my, col_h, col_x, col_y, low, scale, out):
     for c in range(len(out)):
-        work[c] = re[c] - mx * col_x[c] - my * col_y[c]
-    for c in range(len(out)):
+        a = re[c] - mx * col_x[c] - my * col_y[c]
         b = im[c] - my * col_x[c] + mx * col_y[c]
-        work[c] = math.sqrt(work[c] * work[c] + b * b)
-    for c in range(len(out)):
-        out[c] = max((h + col_h[c] - height[c] - work[c]) * scale - low, np.float32(0))
+        out[c] = max((h + col_h[c] - height[c] - math.sqrt(a * a + b * b)) * scale - low, np.float32(0))
 
 
 @njit(cache=True, nogil=True, fastmath=True)

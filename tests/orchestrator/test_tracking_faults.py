@@ -289,7 +289,7 @@ KILLED = """
     from orchestrator import spool
     from orchestrator.mlflow_store import RunSpec
     from orchestrator.settings import build, command_line
-from orchestrator.shipping import Shipper
+    from orchestrator.shipping import Shipper
 
     uri, experiment, folder = sys.argv[1:]
     folder, calls = Path(folder), []
