@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.cluster.nodes import ROOT, Nodes
+from tests.cluster.nodes import ROOT, Nodes, has_dashboard
 
 ROW = "ours-seed0"
 
@@ -76,10 +76,11 @@ def main(arguments):
         plain = {key: value for key, value in os.environ.items() if key != "RAY_ADDRESS"}
         status, output = run_sweep({**plain, "PYTHONPATH": str(ROOT)}, alone, *overrides, "runtime=local")
         assert status == 0, output
-        with Nodes(cpus=(2, 2), head_cpus=1, dashboard=True) as nodes:
+        with Nodes(cpus=(2, 2), head_cpus=1, dashboard=has_dashboard()) as nodes:
             during = killer(nodes, options.kill, together, options.after) if options.kill else lambda: None
             status, output = run_sweep(nodes.environment, together, *overrides, during=during)
-            print("\n".join(f"{name} on {address}" for name, address in nodes.actors()))
+            if nodes.dashboard:
+                print("\n".join(f"{name} on {address}" for name, address in nodes.actors()))
         same = metrics(alone) == metrics(together)
         print(output, f"exit status {status}; metrics {'identical' if same else 'differ'}")
     return 0 if status == 0 and same else 1

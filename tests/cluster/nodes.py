@@ -3,6 +3,7 @@ its own resources and its own processes, with token authentication on. Nothing o
 """
 
 import contextlib
+import importlib.util
 import json
 import os
 import secrets
@@ -23,6 +24,11 @@ RAY = [sys.executable, "-m", "ray.scripts.scripts"]
 TRIES = 3
 PATIENCE = 400  # seconds for a node to start: ten when the machine is idle
 OBJECT_STORE = 100 * 1024**2  # bytes per node; Ray's least is 75 MiB
+
+
+def has_dashboard():
+    """Whether Ray's dashboard is installed (the extra `cluster`)."""
+    return importlib.util.find_spec("aiohttp_cors") is not None
 
 
 class Nodes:

@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator import mlflow_store
 from tests.cluster.__main__ import run_sweep
-from tests.cluster.nodes import RAY, Nodes
+from tests.cluster.nodes import RAY, Nodes, has_dashboard
 from tests.cluster.servers import MlflowServer, Postgres, Proxy
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
@@ -24,6 +24,8 @@ SECRET = "hunter2-of-the-tracking-server"
 def database():
     if Postgres.programs() is None:
         pytest.skip("PostgreSQL is not installed (Debian: apt-get install postgresql)")
+    if not has_dashboard():
+        pytest.skip("Ray's dashboard is not installed (pip install -e .[cluster])")
     with Postgres() as database:
         yield database
 
