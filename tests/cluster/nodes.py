@@ -65,7 +65,8 @@ class Nodes:
             self.dashboard = f"http://127.0.0.1:{page}" if self._dashboard else None
             self.address = f"127.0.0.2:{port}"
             self.environment = {**self._environment, "RAY_ADDRESS": self.address}
-            head = ["--head", f"--port={port}", f"--ray-client-server-port={free_port()}"]
+            head = ["--head", f"--port={port}"]
+            head += [f"--ray-client-server-port={free_port()}"] if has_dashboard() else []  # comes with it
             head += [f"--include-dashboard={str(self._dashboard).lower()}", f"--dashboard-port={page}"]
             self._start(head, self._head_cpus)
             for cpus in self._cpus:
