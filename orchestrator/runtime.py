@@ -16,7 +16,6 @@ import ray
 from ray import exceptions
 
 from orchestrator import cluster
-from orchestrator.cluster import resolve_device
 from orchestrator.curriculum import Curriculum
 from workers.worker import RolloutWorker
 
@@ -116,7 +115,7 @@ class RayRuntime:
         from learner.learner import Learner
 
         self._config, self._notice = config, notice
-        gpus = 1 if resolve_device(config.device, config.runtime) == "cuda" else 0
+        gpus = 1 if cluster.resolve_device(config.device, config.runtime) == "cuda" else 0
         # an actor of several threads needs none of its own environment: one CPU each by default, and BLAS single
         environment = {"env_vars": {"OMP_NUM_THREADS": str(config.learner_threads), "NUMBA_NUM_THREADS": "1"}}
         actor = ray.remote(Learner).options(

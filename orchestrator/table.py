@@ -3,10 +3,10 @@
 import csv
 import io
 import json
-import os
 import textwrap
 from pathlib import Path
 
+from learner.storage import replace_file
 from orchestrator.folder import evaluation_path
 
 COLUMNS = ("FRPD", "FRVD", "FRRD", "FKPD", "FJRD", "FJAD", "SURI", "TC", "TS", "MS", "TTAR", "IRFA", "Return")
@@ -186,8 +186,6 @@ def write(out, content):
     paths = []
     for suffix, text in texts.items():
         path = Path(out) / f"table.{suffix}"
-        temporary = path.with_suffix(".tmp")
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
+        replace_file(path, text.encode())
         paths.append(path)
     return paths

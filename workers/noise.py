@@ -23,7 +23,7 @@ class ActionNoise:
         self._sigma = np.full((n, 1), np.exp(policy.log_sigma), dtype=np.float32)
         self._sigma[self._judging] = np.exp(policy.judge_log_sigma)
         self._draws = np.empty((window, n, NUM_DOF))  # x_t lies in row t modulo the window
-        for earlier in range(max(clock - window + 1, 1 - window), clock):
+        for earlier in range(clock - window + 1, clock):
             self._draw(earlier)
 
     def _draw(self, t):

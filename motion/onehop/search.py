@@ -152,9 +152,7 @@ def price(clips, config, transition):
 
 
 class Searcher:
-    """Features and buffers of one search; a context manager. `solve` may be called several times.
-
-    """
+    """Features and buffers of one search; a context manager. `solve` may be called several times."""
 
     def __init__(self, clips, config, threads=None):
         config.check()

@@ -150,4 +150,5 @@ def test_judges_alone_move_the_curriculum_where_there_are_any(make_config, traje
         curriculum = Curriculum(config)
         _, summary = curriculum.observe(ends)
         assert curriculum.saved().tightenings == tightenings
-        assert summary["achievement_judged"] == (end[judge] == REACHED).mean() if judges else summary["achievement"]
+        counted = end[judge] if judges else end
+        assert summary["achievement_judged"] == (counted == REACHED).mean()
