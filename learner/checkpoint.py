@@ -2,8 +2,8 @@
 
 A file is a line of text and a payload:
 
-    segue checkpoint, schema 2, 71157 bytes, sha256 3f0c...
-    (torch.save of {"schema": 2, "content": ...}: tensors, numbers, strings, lists, dicts)
+    segue checkpoint, schema 3, 79214 bytes, sha256 3f0c...
+    (torch.save of {"schema": 3, "content": ...}: tensors, numbers, strings, lists, dicts)
 
 so that a file that was cut off, or in which a bit has turned, is known as such before anything is made of it. Files of
 schema 1 are the payload alone. What each schema changed in the content stands at `_UPGRADES`.
@@ -20,7 +20,7 @@ import torch
 from learner import storage
 from motion.errors import InputError
 
-SCHEMA = 2
+SCHEMA = 3
 
 _HEADER = re.compile(rb"segue checkpoint, schema (\d+), (\d+) bytes, sha256 ([0-9a-f]{64})\n")
 _NAME = re.compile(r"\d{8}\.pt")
@@ -121,7 +121,10 @@ def _stored(data):
         raise _Broken("wrong checksum: its bytes have changed since it was written")
     if schema not in (SCHEMA, *_UPGRADES):
         raise _Broken(f"schema {schema}; this version reads up to {SCHEMA}")
-    return torch.load(io.BytesIO(payload), map_location="cpu", weights_only=True)
+    stored = torch.load(io.BytesIO(payload), map_location="cpu", weights_only=True)
+    if stored["schema"] != schema:
+        raise _Broken(f"its header says schema {schema}, its content {stored['schema']}")
+    return stored
 
 
 def _from_schema_1(content):
@@ -130,8 +133,14 @@ def _from_schema_1(content):
         content["learner"]["skipped"] = 0
 
 
+def _from_schema_2(content):
+    """Schema 3 may hold averaged weights, the learner's and the policies' (absent here)."""
+    if "learner" in content:
+        content["learner"]["average"] = None
+
+
 # schema -> what turns its content, in place, into that of the next one
-_UPGRADES = {1: _from_schema_1}
+_UPGRADES = {1: _from_schema_1, 2: _from_schema_2}
 
 
 def _plain(value):

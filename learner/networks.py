@@ -1,7 +1,6 @@
 """Policy and value networks: two separate MLPs (section 5)."""
 
 import math
-from dataclasses import asdict
 
 import numpy as np
 import torch
@@ -33,19 +32,32 @@ def build_networks(config, seed, device):
     return policy.to(device), value.to(device)
 
 
-def snapshot(policy, normalizer, config, action_scale, version):
+def snapshot(policy, average, normalizer, config, action_scale, version):
     """The `workers.types.Policy` of a policy network and its observation normalizer: numpy, detached from training.
 
-    config: `learner.config.PolicyConfig`. action_scale: radians per unit of its output. version: number of updates that
-    made it.
+    average: the network of its averaged weights, or None. config: `learner.config.PolicyConfig`. action_scale: radians
+    per unit of its output. version: number of updates that made it.
     """
-    layers = [layer for layer in policy if isinstance(layer, nn.Linear)]
+    weights, biases = _arrays(policy)
+    average_weights, average_biases = _arrays(average) if average else ((), ())
     mean, scale = normalizer.mean_and_scale()
     return Policy(
-        weights=tuple(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T) for layer in layers),
-        biases=tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers),
+        weights=weights,
+        biases=biases,
         observation_mean=mean.cpu().numpy().astype(np.float32),
         observation_scale=scale.cpu().numpy().astype(np.float32),
         version=version,
-        **{**asdict(config), "judge_log_sigma": config.judge_log_sigma - math.log(action_scale)},
+        log_sigma=config.log_sigma,
+        noise_window=config.noise_window,
+        judges=config.judges,
+        judge_log_sigma=config.judge_log_sigma - math.log(action_scale),
+        average_weights=average_weights,
+        average_biases=average_biases,
     )
+
+
+def _arrays(network):
+    """(weights, biases) of an MLP's layers as tuples of arrays."""
+    layers = [layer for layer in network if isinstance(layer, nn.Linear)]
+    weights = tuple(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T) for layer in layers)
+    return weights, tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers)

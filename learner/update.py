@@ -28,6 +28,7 @@ class LearnerState:
     def __init__(self, config, action, seed, device="cpu"):
         self.config, self.action, self.seed, self.device = config, action, seed, device
         self.policy, self.value = build_networks(config.network, seed, device)
+        self.average = copy.deepcopy(self.policy) if config.policy.average else None
         self.learning_rate = config.ppo.learning_rate
         self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
         self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=self.learning_rate, fused=True)
@@ -40,11 +41,14 @@ class LearnerState:
 
     def snapshot(self):
         """The `workers.types.Policy` to act with."""
-        return snapshot(self.policy, self.observations, self.config.policy, self.action.scale, self.updates)
+        return snapshot(
+            self.policy, self.average, self.observations, self.config.policy, self.action.scale, self.updates
+        )
 
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint; shares memory with the networks."""
         parts = {name: getattr(self, name).state_dict() for name in self._PARTS}
+        parts["average"] = self.average and self.average.state_dict()
         numbers = {name: getattr(self, name) for name in self._NUMBERS}
         return {**parts, **numbers}
 
@@ -52,6 +56,8 @@ class LearnerState:
         """Become the learner that made `state`."""
         for name in self._PARTS:
             getattr(self, name).load_state_dict(state[name])
+        if self.average:
+            self.average.load_state_dict(state["average"] or state["policy"])
         for name in self._NUMBERS:
             setattr(self, name, state[name])
 
@@ -133,6 +139,7 @@ def update(state, chunks):
     state.observations.update(observation)
     finite = all(map(math.isfinite, metrics.values())) and state.is_finite()
     if finite:
+        _average(state)
         state.learning_rate = ppo.adapt_learning_rate(
             state.learning_rate, float(divergence_sum) / batches, ppo.target_divergence(config.ppo, state.updates)
         )
@@ -230,6 +237,16 @@ def _descend(loss, network, optimizer, max_norm):
     norm = torch.nn.utils.clip_grad_norm_(network.parameters(), max_norm)
     optimizer.step()
     return norm
+
+
+def _average(state):
+    """Move the averaged weights towards the policy's: a plain mean at first, an exponential one in the long run."""
+    if state.average is None:
+        return
+    decay = min(state.config.policy.average, state.updates / (state.updates + 1))
+    with torch.no_grad():
+        for mean, weight in zip(state.average.parameters(), state.policy.parameters(), strict=True):
+            mean.lerp_(weight, 1 - decay)
 
 
 def _no_grad(network, inputs):

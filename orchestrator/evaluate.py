@@ -144,7 +144,7 @@ def evaluate_run(folder, config):
         "checkpoint": str(path).rpartition("/")[2],
         "samples": saved["iteration"] * config.samples_per_iteration,
         "iterations": saved["iteration"],
-        **evaluate_policy(config, saved["policies"][-1], curriculum.tightenings, curriculum.achieved_at),
+        **evaluate_policy(config, saved["policies"][-1].averaged(), curriculum.tightenings, curriculum.achieved_at),
     }
     replace_file(folder / "evaluation.json", (json.dumps(content, indent=2) + "\n").encode())
     return content

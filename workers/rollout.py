@@ -6,7 +6,7 @@ from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
 from workers.kinematics import NQ, NUM_DOF, NV
 from workers.noise import ActionNoise
-from workers.types import Chunk, Outcomes, concatenate_outcomes
+from workers.types import Chunk, Outcomes, concatenate_outcomes, judging
 
 
 class Rollout:
@@ -34,6 +34,8 @@ class Rollout:
         env.load(state)
         index, episode, clock = state.environment, state.episode.copy(), state.clock
         network = PolicyNetwork(policy, n)
+        judges = np.flatnonzero(judging(index, policy.judges)) if policy.average_weights else ()
+        judge_network = PolicyNetwork(policy.averaged(), len(judges)) if len(judges) else None
         noise = ActionNoise(policy, self._seed, index, clock)
 
         observation = new_observations(horizon, n)
@@ -49,6 +51,8 @@ class Rollout:
         for t in range(horizon):
             env.observe(observation[t])
             mean[t] = network.mean(observation[t])
+            if judge_network:
+                mean[t, judges] = judge_network.mean(observation[t, judges])
             action[t] = mean[t] + noise.next()
             pose[t, :, :NQ], pose[t, :, NQ:] = env.qpos, env.qvel
             env.step(action[t], thresholds)

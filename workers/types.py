@@ -9,7 +9,7 @@ are left as they were. N is the number of environments of one worker, T the hori
 index in the whole run, so their random numbers, and hence all numbers, do not depend on how workers share them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,7 @@ class Policy:
     log_sigma: log standard deviation of every action dimension.
     version: number of updates that made it.
     noise_window, judges, judge_log_sigma: how it explores; see `learner.config.PolicyConfig` and `workers.noise`.
+    average_weights, average_biases: as weights and biases, their running average; empty if none is kept.
     """
 
     weights: tuple
@@ -50,6 +51,16 @@ class Policy:
     noise_window: int = 1
     judges: int = 0
     judge_log_sigma: float = -3.7
+    average_weights: tuple = ()
+    average_biases: tuple = ()
+
+    def averaged(self):
+        """The policy that judging environments act with and that is evaluated: of the averaged weights, if any."""
+        if not self.average_weights:
+            return self
+        return replace(
+            self, weights=self.average_weights, biases=self.average_biases, average_weights=(), average_biases=()
+        )
 
 
 def judging(environment, judges):

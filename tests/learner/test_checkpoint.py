@@ -42,8 +42,9 @@ def test_nested_content_comes_back_exactly(tmp_path):
     assert got["nested"][0] == {"a": [1, 2.5]} and torch.equal(got["nested"][1], torch.eye(2))
 
 
-def test_a_learner_continues_from_its_checkpoint_bit_for_bit(tmp_path, lessons, make_config, assert_same_bits):
-    config = make_config({"ppo.target_kl": 0.01})
+@pytest.mark.parametrize("average", [0.0, 0.9])
+def test_a_learner_continues_from_its_checkpoint_bit_for_bit(average, tmp_path, lessons, make_config, assert_same_bits):
+    config = make_config({"ppo.target_kl": 0.01, "policy.average": average})
     state = LearnerState(config, config.action, seed=3)
     for chunk in lessons[:2]:
         state, _ = update(state, [chunk])
@@ -103,9 +104,11 @@ def test_bytes_after_the_end_are_refused(whole, tmp_path):
     assert "bytes" in refused(tmp_path, whole + b"0")
 
 
-@pytest.mark.parametrize("schema", [0, 3, 99])
+@pytest.mark.parametrize("schema", [0, checkpoint.SCHEMA + 1, 99])
 def test_a_file_of_an_unknown_schema_is_refused(schema, whole, tmp_path):
-    assert f"schema {schema}" in refused(tmp_path, whole.replace(b"schema 2", b"schema %d" % schema, 1))
+    assert f"schema {schema}" in refused(
+        tmp_path, whole.replace(b"schema %d" % checkpoint.SCHEMA, b"schema %d" % schema, 1)
+    )
     file = io.BytesIO()
     torch.save({"schema": schema, "content": {}}, file)
     assert f"schema {schema}" in refused(tmp_path, file.getvalue())
@@ -126,6 +129,8 @@ def test_a_checkpoint_of_an_older_schema_loads_as_one_of_todays(schema, assert_s
     raw = torch.load(io.BytesIO(data[data.index(b"PK") :]), weights_only=True)
     assert raw["schema"] == schema and set(content) >= {"iteration", "learner", "curriculum", "workers", "policies"}
     assert content["learner"].pop("skipped") == 0
+    if schema < 3:
+        assert content["learner"].pop("average") is None
     raw["content"]["learner"].pop("skipped", None)
     assert_same_bits(content, raw["content"])
 

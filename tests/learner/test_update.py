@@ -206,6 +206,28 @@ def test_judges_have_the_evaluations_noise_in_radians(make_config):
     assert (policy.judges, policy.noise_window, policy.log_sigma) == (8, 3, config.policy.log_sigma)
 
 
+def test_the_average_is_the_mean_of_all_weights_first_and_exponential_then(lessons, make_config):
+    """Against the same sum written out; the average itself changes nothing that is learned."""
+    decay = 0.7  # the plain mean ends after the third update
+    state, plain = (learner(make_config({"policy.average": value})) for value in (decay, 0.0))
+    history = []
+    for chunk in lessons[:5]:
+        state, _ = update(state, [chunk])
+        plain, _ = update(plain, [chunk])
+        history.append(state.snapshot().weights[0].astype(np.float64))
+        share = [1.0 / min(len(history), 3)] * len(history)
+        if len(history) > 3:
+            share = [decay ** (len(history) - 3) / 3] * 3
+            share += [(1 - decay) * decay ** (len(history) - k) for k in range(4, len(history) + 1)]
+        wanted = sum(part * weights for part, weights in zip(share, history, strict=True))
+        np.testing.assert_allclose(state.snapshot().average_weights[0], wanted, rtol=1e-4, atol=1e-6)
+    np.testing.assert_array_equal(state.snapshot().weights[-1], plain.snapshot().weights[-1])
+    assert plain.snapshot().average_weights == () and plain.snapshot().averaged() is not None
+    averaged = state.snapshot().averaged()
+    np.testing.assert_array_equal(averaged.weights[0], state.snapshot().average_weights[0])
+    np.testing.assert_array_equal(averaged.biases[-1], state.snapshot().average_biases[-1])
+
+
 # ----------------------------------------------------------------------------------------------------- skipped updates
 
 COUNTERS = ("updates", "skipped")

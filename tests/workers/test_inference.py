@@ -37,7 +37,7 @@ def test_a_snapshot_acts_as_the_learners_network(make_config):
     x = observations(40)
     with torch.no_grad():
         wanted = network(normalizer(torch.from_numpy(x))).numpy()
-    got = PolicyNetwork(snapshot(network, normalizer, PolicyConfig(), 1.0, 7), 40).mean(x)
+    got = PolicyNetwork(snapshot(network, None, normalizer, PolicyConfig(), 1.0, 7), 40).mean(x)
     np.testing.assert_allclose(got, wanted, rtol=1e-4, atol=1e-5)
 
 

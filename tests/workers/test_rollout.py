@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,20 @@ def test_threads_change_no_number(threads, library, trajectories, make_policy, e
     rollout = Rollout(trajectories.config, library, 24, HORIZON, SEED, threads)
     chunks, state = collected(rollout, rollout.initial_state(0), 3, make_policy, easy)
     assert_same_bits([chunks, state], [trajectories.chunks[:3], trajectories.states[3]])
+
+
+def test_judges_act_with_the_averaged_weights_and_nobody_else(library, trajectories, make_policy, easy):
+    other = make_policy(seed=9)
+    policy = replace(
+        make_policy(version=1), judges=3, average_weights=other.weights, average_biases=other.biases,
+    )  # fmt: skip
+    chunk, _ = trajectories.rollout.collect(trajectories.states[1], policy, easy)
+    judge = chunk.environment % 3 == 0
+    averaged = replace(policy, weights=other.weights, biases=other.biases)
+    for acting, rows in ((policy, ~judge), (averaged, judge)):
+        network = PolicyNetwork(acting, int(rows.sum()))
+        for t in range(HORIZON):
+            np.testing.assert_array_equal(chunk.mean[t, rows], network.mean(chunk.observation[t, rows]))
 
 
 def test_seed_and_environment_make_different_episodes(library, make_config, make_policy, easy):
