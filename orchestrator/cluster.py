@@ -49,8 +49,13 @@ def start_here(**options):
             return
         except Exception as error:  # Ray raises no narrower class
             ray.shutdown()
-            if not left or "timed out during startup" not in str(error):
+            if "timed out during startup" not in str(error):
                 raise
+            if not left:
+                raise InputError(
+                    f"Ray did not start in {TRIES} tries: this machine is too busy; try again when less is running, "
+                    "or use runtime=local, which needs no Ray (one run: python -m orchestrator.train)"
+                ) from error
             print(f"Ray did not start in time; {left} more tries", file=sys.stderr)
 
 

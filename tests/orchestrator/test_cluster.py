@@ -45,3 +45,26 @@ def test_runs_at_a_time():
     assert cluster.concurrent(config_of(), LAPTOP) == 1
     assert cluster.concurrent(config_of("runtime=local"), LAPTOP) == 2
     assert cluster.concurrent(config_of(), TWO_SMALL) == 2
+
+
+def test_a_ray_that_never_starts_in_time_is_one_line_after_all_tries(monkeypatch, capsys):
+    tried = []
+
+    def init(**options):
+        tried.append(options)
+        raise Exception("The current node timed out during startup. This could happen because some raylet failed.")
+
+    monkeypatch.setattr(cluster.ray, "init", init)
+    with pytest.raises(InputError, match="too busy; try again.*runtime=local") as caught:
+        cluster.start_here(num_cpus=1)
+    assert "\n" not in str(caught.value) and len(tried) == cluster.TRIES
+    assert capsys.readouterr().err.count("did not start in time") == cluster.TRIES - 1
+
+
+def test_any_other_error_of_rays_start_is_not_tried_again(monkeypatch):
+    def init(**options):
+        raise ValueError("no such option")
+
+    monkeypatch.setattr(cluster.ray, "init", init)
+    with pytest.raises(ValueError, match="no such option"):
+        cluster.start_here()
