@@ -134,7 +134,7 @@ def _from_schema_1(content):
 
 
 def _from_schema_2(content):
-    """Schema 3 may hold averaged weights, the learner's and the policies' (absent here)."""
+    """Schema 3 may hold averaged weights, and a tally of failed tasks (both absent here)."""
     if "learner" in content:
         content["learner"]["average"] = None
 

@@ -4,19 +4,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from motion.state_machine import build_state_machine
+from orchestrator import focus
 from orchestrator.metrics import summarize
+from workers.library import build_library
 from workers.types import REACHED, Thresholds, concatenate_outcomes, judging
 
 
 @dataclass(frozen=True)
 class CurriculumState:
     """window: (reached, ended) per entry, oldest first; tightenings: cuts so far; achieved_at: iteration at which the
-    final accuracy was set as threshold, or None; iteration: chunks observed."""
+    final accuracy was set as threshold, or None; iteration: chunks observed; tally: see `orchestrator.focus`."""
 
     window: tuple = ()
     tightenings: int = 0
     iteration: int = 0
     achieved_at: int | None = None
+    tally: np.ndarray | None = None
 
 
 def final_tightenings(config):
@@ -83,10 +87,14 @@ class Curriculum:
         """config: the run's `orchestrator.config.Config`; saved: what `saved()` gave, to continue from."""
         self._config = config
         self._state = saved or CurriculumState()
+        self._library = build_library(build_state_machine(config.motions)) if config.task.focus else None
+        if self._library and self._state.tally is None:
+            self._state = replace(self._state, tally=focus.empty_tally(self._library))
 
     def thresholds(self):
         """The thresholds in force."""
-        return thresholds(self._config.curriculum, self._config.reach, self._state.tightenings)
+        limits = thresholds(self._config.curriculum, self._config.reach, self._state.tightenings)
+        return replace(limits, shares=focus.shares(self._state.tally)) if self._library else limits
 
     def observe(self, *outcomes):
         """(thresholds after one more iteration's outcomes, summary of these outcomes)."""
@@ -94,6 +102,8 @@ class Curriculum:
         judges = self._config.policy.judges
         counted = joined.take(judging(joined.environment, judges)) if judges else joined
         self._state = observe(self._state, self._config.curriculum, counted)
+        if self._library:
+            self._state = replace(self._state, tally=focus.count(self._state.tally, joined, self._library))
         return self.thresholds(), summarize(joined, counted)
 
     def saved(self):

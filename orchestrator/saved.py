@@ -47,17 +47,24 @@ def load_latest(folder, config=None):
     if config is not None and config.checkpoint.storage is not None:
         places.append(place(folder, config))
     content, path = checkpoint.load_newest(*places)
-    if content is None:
-        return None, None
-    window = tuple(tuple(entry) for entry in content["curriculum"].pop("window"))
+    return (None, None) if content is None else (_objects(content), path)
+
+
+def load_file(path):
+    """What `load_latest` gives, of one checkpoint file. InputError if it cannot be read."""
+    return _objects(checkpoint.load(path))
+
+
+def _objects(content):
+    curriculum = {**_arrays(content["curriculum"]), "window": tuple(map(tuple, content["curriculum"]["window"]))}
     return {
         "iteration": content["iteration"],
         "config": content.get("config", {}),
-        "parts": (content["learner"], CurriculumState(window=window, **content["curriculum"])),
+        "parts": (content["learner"], CurriculumState(**curriculum)),
         "workers": [WorkerState(**_arrays(item)) for item in content["workers"]],
         "policies": [Policy(**_arrays(item)) for item in content["policies"]],
-        "thresholds": [Thresholds(**item) for item in content["thresholds"]],
-    }, path
+        "thresholds": [Thresholds(**_arrays(item)) for item in content["thresholds"]],
+    }
 
 
 def check_same_run(saved, config, path):
@@ -82,7 +89,7 @@ def _arrays(item):
     out = {}
     for name, value in item.items():
         if isinstance(value, list):
-            value = tuple(part.numpy() for part in value)
+            value = tuple(part.numpy() if hasattr(part, "numpy") else part for part in value)
         elif hasattr(value, "numpy"):
             value = value.numpy()
         out[name] = value

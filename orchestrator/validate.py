@@ -47,6 +47,7 @@ RULES = {
         lambda v: all(name in BODY_NAMES for name in v),
     ),
     "rotation.reference": choice("source", "world"),
+    "task.focus": PROBABILITY,
     "task.stay_probability": PROBABILITY,
     "task.transition_time": above(0),
     "task.max_steps": at_least(1),
@@ -142,6 +143,11 @@ def check_relations(config, source):
         raise InputError(
             f"{source('num_workers')}: num_workers={config.num_workers} is more than num_envs={config.num_envs}; "
             "every worker needs a simulation: lower num_workers"
+        )
+    if config.task.focus and not config.policy.judges:
+        raise InputError(
+            f"{source('task.focus')}: task.focus={config.task.focus} needs judging environments, whose tasks stay uniform "
+            "and move the curriculum: set policy.judges, e.g. policy.judges=8"
         )
     if config.reach.heading_floor > config.reach.heading_start:
         raise InputError(

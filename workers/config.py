@@ -58,6 +58,9 @@ class TaskConfig:
 
     stay_probability: float = 0.5
     """Probability of keeping the same task after a failure."""
+    focus: float = 0.0
+    """Share of the new tasks that are drawn by how often such tasks fail (`orchestrator.focus`); the others, and all
+    tasks of judging environments, are uniform. 0, the paper: all uniform. Needs `policy.judges`."""
     transition_time: float = 0.8
     """T of Eq. 14 in seconds."""
     max_steps: int = 60

@@ -26,13 +26,15 @@ _DIVERGED = [
 
 
 @njit(cache=True)
-def _plan(seed, stay_probability, environment, episode, failed, ids, groups, cancel, rotation, task, retained):
+def _plan(
+    seed, stay_probability, environment, episode, failed, ids, groups, cancel, rotation, focus, shares, task, retained,
+):  # fmt: skip
     """The next task of environments ids: the same one after a failure that stays, else a new one. Counts episodes."""
     for i in ids:
         episode[i] += 1
         retained[i] = failed[i] and stays(seed, environment[i], episode[i], stay_probability)
         if not retained[i]:
-            draw_task(seed, environment[i], episode[i], groups, cancel, rotation, task[i])
+            draw_task(seed, environment[i], episode[i], groups, cancel, rotation, focus[i], shares, task[i])
 
 
 @njit(cache=True)
@@ -193,13 +195,18 @@ class Environment:
             **{name: getattr(self, name).copy() for name in names},
         )
 
-    def plan(self, seed, environment, episode, ids):
-        """Draw the next tasks of rows ids into `task`: kept after a failure with the stay probability, else new."""
+    def plan(self, seed, environment, episode, ids, focus=None, shares=()):
+        """Draw the next tasks of rows ids into `task`: kept after a failure with the stay probability, else new.
+
+        focus (num_envs,) and shares: see `planner.draw_task`; by default all tasks are equally likely.
+        """
         library = self.library
+        focus = np.zeros(self.num_envs) if focus is None else focus
         failed = (self.end != REACHED) & (self.end != 0)
         _plan(
             seed, self.config.task.stay_probability, environment, episode, failed, ids,
-            library.groups, library.cancel, library.rotation, self.task, self.retained,
+            library.groups, library.cancel, library.rotation, focus, np.array(shares, dtype=np.float64),
+            self.task, self.retained,
         )  # fmt: skip
 
 

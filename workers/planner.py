@@ -8,22 +8,53 @@ from workers.kinematics import about_z, forward_kinematics, heading, multiply, q
 from workers.library import sample_pose
 from workers.termination import lowest
 
+MOMENTS, ROTATIONS = 8, 4  # cells of a group's tasks: equal parts of the source's cancel range and of the rotations
+
 _ALL_BODIES = np.ones(17, dtype=np.bool_)
 
 
+def number_of_cells(library):
+    """Cells of all tasks of a `MotionLibrary`."""
+    return len(library.groups) * MOMENTS * ROTATIONS
+
+
+def cells_of(tasks, library):
+    """The cell (M,) int64 that each of the tasks (M, 4) lies in, numbered by group, then moment, then rotation."""
+    source = tasks[:, 0].astype(np.int64)
+    number = {pair: i for i, pair in enumerate(map(tuple, library.groups.tolist()))}
+    group = np.array([number[pair] for pair in zip(source.tolist(), tasks[:, 2].astype(np.int64).tolist())], dtype=int)
+
+    def part(value, low, high, parts):
+        share = (value - low) / np.maximum(high - low, 1e-12)  # a range may be a point
+        return np.clip((share * parts).astype(np.int64), 0, parts - 1)
+
+    moment = part(tasks[:, 1], library.cancel[source, 0], library.cancel[source, 1], MOMENTS)
+    rotation = part(tasks[:, 3], library.rotation[0], library.rotation[1], ROTATIONS)
+    return (group * MOMENTS + moment) * ROTATIONS + rotation
+
+
 @njit(cache=True)
-def draw_task(seed, environment, episode, groups, cancel, rotation, task):
+def draw_task(seed, environment, episode, groups, cancel, rotation, focus, shares, task):
     """A task into task (4,): source state, moment (s), target state, rotation (rad), a function of the counters.
 
     The group is uniform over groups (G, 2), the moment over the source's cancel range, the rotation over its range.
+    With probability `focus`, a cell (see `cells_of`) is drawn by its share instead and the task is uniform within it;
+    shares: cumulative, one per cell, or empty: no focus.
     """
     u = uniforms(seed, TASK, environment, episode, 0)
-    group = min(int(u[0] * groups.shape[0]), groups.shape[0] - 1)
+    moment, turn = u[1], u[2]
+    if shares.shape[0] and u[3] < focus:
+        cell = min(np.searchsorted(shares, u[0], side="right"), shares.shape[0] - 1)
+        group = cell // (MOMENTS * ROTATIONS)
+        moment = (cell // ROTATIONS % MOMENTS + moment) / MOMENTS
+        turn = (cell % ROTATIONS + turn) / ROTATIONS
+    else:
+        group = min(int(u[0] * groups.shape[0]), groups.shape[0] - 1)
     source = groups[group, 0]
     task[0] = source
-    task[1] = cancel[source, 0] + u[1] * (cancel[source, 1] - cancel[source, 0])
+    task[1] = cancel[source, 0] + moment * (cancel[source, 1] - cancel[source, 0])
     task[2] = groups[group, 1]
-    task[3] = rotation[0] + u[2] * (rotation[1] - rotation[0])
+    task[3] = rotation[0] + turn * (rotation[1] - rotation[0])
 
 
 @njit(cache=True)

@@ -34,8 +34,11 @@ class Rollout:
         env.load(state)
         index, episode, clock = state.environment, state.episode.copy(), state.clock
         network = PolicyNetwork(policy, n)
-        judges = np.flatnonzero(judging(index, policy.judges)) if policy.average_weights else ()
+        judged = judging(index, policy.judges)
+        judges = np.flatnonzero(judged) if policy.average_weights else ()
         judge_network = PolicyNetwork(policy.averaged(), len(judges)) if len(judges) else None
+        # judges draw all tasks alike, as the evaluation does
+        focus = np.where(judged, 0.0, env.config.task.focus)
         noise = ActionNoise(policy, self._seed, index, clock)
 
         observation = new_observations(horizon, n)
@@ -65,7 +68,7 @@ class Rollout:
             if len(ids):
                 final.append(env.observe(new_observations(len(ids)), ids))
                 ended.append(outcomes(env, clock, index, ids, thresholds))
-                env.plan(self._seed, index, episode, ids)
+                env.plan(self._seed, index, episode, ids, focus, thresholds.shares)
                 env.begin(ids)
         chunk = Chunk(
             environment=index.copy(),

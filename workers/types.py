@@ -16,7 +16,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Thresholds:
-    """A task is reached when every deviation is below its threshold (section 4)."""
+    """What the curriculum broadcasts. A task is reached when every deviation is below its threshold (section 4)."""
 
     root_position: float
     """d^rp, m."""
@@ -28,6 +28,8 @@ class Thresholds:
     """d^rq, rad; infinite unless `reach.heading`."""
     tightenings: int = 0
     """How many times the curriculum has cut them."""
+    shares: tuple = ()
+    """Cumulative shares of the cells that `task.focus` draws from; empty without."""
 
 
 @dataclass(frozen=True)

@@ -39,11 +39,12 @@ def killed_after(iteration):
 
 @pytest.fixture(scope="module")
 def configure(make_config):
-    """A run of five iterations whose thresholds are easy enough to be cut on the way."""
+    """A run of five iterations whose thresholds are easy enough to be cut on the way, with all that carries state."""
 
     def make(**changes):
         easy = {"curriculum.start": [1.0, 8.0, 2.0], "curriculum.window": 1, "curriculum.achievement": 0.2}
-        return make_config({"budget.iterations": 5, "task.max_steps": 8, **easy, **changes})
+        carried = {"policy.judges": 2, "policy.average": 0.9, "task.focus": 0.5}
+        return make_config({"budget.iterations": 5, "task.max_steps": 8, **easy, **carried, **changes})
 
     return make
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from workers.environment import Environment
-from workers.planner import begin, draw_task, ground, place_target
+from workers.planner import MOMENTS, ROTATIONS, begin, cells_of, draw_task, ground, number_of_cells, place_target
 from workers.rollout import Rollout
 from workers.termination import lowest
 from workers.types import FELL, REACHED, TIMED_OUT
@@ -17,11 +17,11 @@ seeds = st.integers(0, 2**32 - 1)
 EVERYTHING = np.ones(17, dtype=bool)
 
 
-def tasks_of(library, count, seed=3, groups=None):
+def tasks_of(library, count, seed=3, groups=None, focus=0.0, shares=()):
     groups = library.groups if groups is None else groups
-    out = np.empty((count, 4))
+    out, shares = np.empty((count, 4)), np.array(shares, dtype=float)
     for i in range(count):
-        draw_task(seed, i % 500, i // 500, groups, library.cancel, library.rotation, out[i])
+        draw_task(seed, i % 500, i // 500, groups, library.cancel, library.rotation, focus, shares, out[i])
     return out
 
 
@@ -62,6 +62,46 @@ def test_a_task_is_a_function_of_seed_environment_and_episode(library):
     np.testing.assert_array_equal(first, again)
     assert len(np.unique(first[:, 3])) == 1000
     assert (first != tasks_of(library, 1000, seed=4)).any(axis=1).mean() > 0.99
+
+
+def slow_cell(task, library):
+    group = [tuple(pair) for pair in library.groups.tolist()].index((int(task[0]), int(task[2])))
+    low, high = library.cancel[int(task[0])]
+    moment = next(k for k in range(MOMENTS) if k == MOMENTS - 1 or task[1] < low + (k + 1) * (high - low) / MOMENTS)
+    low, high = library.rotation
+    turn = next(k for k in range(ROTATIONS) if k == ROTATIONS - 1 or task[3] < low + (k + 1) * (high - low) / ROTATIONS)
+    return group * MOMENTS * ROTATIONS + moment * ROTATIONS + turn
+
+
+def test_the_cell_of_a_task_is_its_group_and_its_parts_of_both_ranges(tasks, library):
+    some = tasks[::60]
+    assert cells_of(some, library).tolist() == [slow_cell(task, library) for task in some]
+    assert cells_of(np.empty((0, 4)), library).shape == (0,)
+
+
+@pytest.mark.parametrize("focus", [1.0, 0.4])
+def test_focused_tasks_are_drawn_by_the_shares_of_their_cells(focus, library):
+    share = np.random.default_rng(0).dirichlet(np.full(number_of_cells(library), 0.3))
+    drawn = tasks_of(library, 20_000, focus=focus, shares=np.cumsum(share))
+    wanted = focus * share + (1 - focus) / len(share)
+    counts = np.bincount(cells_of(drawn, library), minlength=len(share))
+    # cells that are hardly ever drawn are one class for the test
+    rare = wanted * len(drawn) < 5
+    classes = [np.append(x[~rare], x[rare].sum()) for x in (counts, wanted * len(drawn))]
+    classes = [x[:-1] if classes[1][-1] < 1 else x for x in classes]
+    expected = classes[1] * classes[0].sum() / classes[1].sum()
+    assert stats.chisquare(classes[0], expected).pvalue > 1e-4
+    moments = (drawn[:, 1] - library.cancel[drawn[:, 0].astype(int), 0]) / np.ptp(library.cancel, axis=1)[
+        drawn[:, 0].astype(int)
+    ]
+    assert stats.kstest(moments * MOMENTS % 1.0, "uniform").pvalue > 1e-4
+
+
+def test_without_focus_or_shares_the_paper_s_tasks_are_drawn(library):
+    plain = tasks_of(library, 500)
+    even = np.linspace(0, 1, number_of_cells(library) + 1)[1:]
+    np.testing.assert_array_equal(tasks_of(library, 500, focus=0.0, shares=even), plain)
+    np.testing.assert_array_equal(tasks_of(library, 500, focus=1.0), plain)
 
 
 @pytest.mark.parametrize("rotation_reference", ["source", "world"])
