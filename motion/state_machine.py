@@ -81,6 +81,12 @@ class StateMachine:
         digest.update(repr((self.groups.tolist(), self.rotation)).encode())
         return digest.hexdigest()[:16]
 
+    @property
+    def clips_hash(self):
+        """Hash of the clips' names and poses: what a policy was trained on, whatever the ranges and groups."""
+        names = repr([(state.name, state.clip.content_hash) for state in self.states])
+        return hashlib.sha256(names.encode()).hexdigest()[:16]
+
 
 def build_state_machine(config):
     """The StateMachine of a MotionsConfig.

@@ -76,11 +76,16 @@ class EvaluationConfig:
     max_tasks: int = 0
     """Evaluate at most this many tasks, spread evenly over the grid; 0: all."""
     num_envs: int = 256
-    """Simulations at a time."""
+    """Simulations at a time in one process."""
     log_sigma: float = -3.7
     """Log of the actions' standard deviation in radians, whatever `action.scale` is."""
-    robustness_log_sigmas: list[float] = field(default_factory=lambda: [-4.1, -3.7, -3.3, -2.9, -2.5])
-    """Candidates for MS, the largest noise (in radians) at which every task is reached."""
+    robustness_bracket: list[float] = field(default_factory=lambda: [-5.0, -2.0])
+    """Log of the smallest and the largest noise (in radians) that MS, the largest one at which every task is reached,
+    may be."""
+    robustness_resolution: float = 0.1
+    """To how much MS is found, in log sigma."""
+    num_workers: int = 0
+    """Processes of `python -m orchestrator.evaluate` on Ray, one CPU each; 0: one per free CPU."""
 
 
 @dataclass
@@ -91,6 +96,26 @@ class TrackingConfig:
     """Log runs to MLflow."""
     uri: str | None = None
     """Tracking address; MLFLOW_TRACKING_URI goes before it."""
+    system_metrics: bool = True
+    """Log the load of the machine that the run's loop runs on: processors, memory, disk, network, GPUs."""
+    register_model: bool = True
+    """Register the policy of a finished run as a model of MLflow."""
+
+
+@dataclass
+class ReportConfig:
+    """report.html at the end of a sweep. No value changes a number of a run."""
+
+    enabled: bool = True
+    """Make it at the end of a sweep."""
+    strips: int = 3
+    """Film strips of transitions, each beside interpolation of the same task; 0: none."""
+    videos: int = 4
+    """Looping videos of transitions, half of them of the worst; 0: none."""
+    tasks: int = 100
+    """Tasks of the evaluation's grid on which the policy is compared with kinematic transitions; 0: no comparison."""
+    figures: str | None = None
+    """Folder to which curves, strips and videos are written as files, too."""
 
 
 @dataclass
@@ -129,6 +154,7 @@ class Config(EnvConfig, LearnerConfig):
     faults: FaultsConfig = field(default_factory=FaultsConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
+    report: ReportConfig = field(default_factory=ReportConfig)
 
     @property
     def samples_per_iteration(self):

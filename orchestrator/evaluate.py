@@ -1,167 +1,195 @@
-"""Evaluate a trained policy on the grid of tasks: the 13 metrics of Table 1 (section 6).
+"""Evaluate a trained policy on the grid of tasks: the 13 metrics of Table 1 (section 6), and where it fails.
 
-usage: python -m orchestrator.evaluate RUN_FOLDER [key=value ...]
+usage: python -m orchestrator.evaluate RUN_OR_CHECKPOINT [--config FILE] [key=value ...]
+       python -m orchestrator.evaluate RUN_OR_CHECKPOINT --replay N [--final] [--deterministic] [--save FILE.npz]
 
   python -m orchestrator.evaluate runs/ablation/ours-seed0
-  python -m orchestrator.evaluate runs/ablation/ours-seed0 evaluation.max_tasks=0      the whole grid
+  python -m orchestrator.evaluate runs/ablation/ours-seed0 evaluation.max_tasks=0       the whole grid
+  python -m orchestrator.evaluate runs/ablation/ours-seed0/checkpoints/00000480.pt      another than the newest
+  python -m orchestrator.evaluate runs/ablation/ours-seed0 --replay 1234                a task of failures.csv again
 
-Evaluates the newest checkpoint in the folder and writes evaluation.json there.
+Of a run's folder the newest checkpoint is evaluated; evaluation.json, failures.csv and the finished shards
+(evaluation/) go there. Of a checkpoint's file they go to a folder beside it, NAME-evaluation/. The same command goes on
+where it was interrupted. Spread over Ray (runtime=ray; RAY_ADDRESS for a cluster) or in this process (runtime=local):
+the numbers are the same.
+
+--config FILE     the run's configuration; default: config.yaml of the run's folder
+--replay N        play the task of number N alone, at the thresholds reached in training and with the evaluation's noise
+--final           --replay at the final accuracy
+--deterministic   --replay without noise
+--save FILE.npz   where --replay puts the motion
 """
 
 import json
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from learner.storage import replace_file
 from motion.errors import InputError
 from motion.state_machine import build_state_machine
-from orchestrator.console import run_command
-from orchestrator.curriculum import final_tightenings, thresholds
-from orchestrator.saved import load_latest
+from orchestrator import folder as run_folder
+from orchestrator.console import catch_signals, run_command
+from orchestrator.evaluation.bar import Bar
+from orchestrator.evaluation.evaluator import levels
+from orchestrator.evaluation.failures import ended
+from orchestrator.evaluation.grid import FAILURES, KEPT, evaluate
+from orchestrator.evaluation.pools import LocalPool, of_cluster, within_run
+from orchestrator.evaluation.subject import load_file, load_newest
 from orchestrator.settings import load
-from orchestrator.tasks import task_grid
-from workers.config import RewardConfig
-from workers.counter_random import EVALUATION, fill_normal
-from workers.environment import Environment, new_observations
-from workers.inference import PolicyNetwork
-from workers.kinematics import NUM_DOF
+from orchestrator.tasks import TaskGrid
 from workers.library import build_library
-from workers.reward import W_UPPER_BODY
-from workers.rollout import outcomes
-from workers.types import REACHED, REWARD_PARTS, concatenate_outcomes
+
+PATIENCE = 10.0  # seconds to wait for another evaluation in the same folder, which may be about to end
+OPTIONS = {"--config": True, "--replay": True, "--save": True, "--final": False, "--deterministic": False}  # with value
+TITLES = {"metrics": "final accuracy", "trained": "as trained"}
 
 
-def run_tasks(config, library, policy, tasks, limits, log_sigma):
-    """The `Outcomes` of tasks (M, 4), one episode each, ordered as the tasks; `environment` holds the task's number.
+def evaluate_run(folder, config, make_pool=within_run, show=None):
+    """Evaluate the newest checkpoint of a run's folder; writes evaluation.json there and returns its content.
 
-    The actions' noise is a function of (seed, task, step): the numbers do not depend on how many simulations run at a
-    time. log_sigma: log of the actions' deviation in radians; -inf for none. limits: `Thresholds`.
+    make_pool, show: see `evaluation.grid.evaluate`; by default on the CPUs that the run was trained on, in silence.
     """
-    count = min(config.evaluation.num_envs, len(tasks))
-    threads = config.learner_threads + config.num_workers * config.worker_threads
-    # "Return: always with the full reward" (section 6), whatever the row was trained with
-    full = replace(config, reward=RewardConfig(key_body_frame=config.reward.key_body_frame))
-    env = Environment(full, library, count, threads)
-    network = PolicyNetwork(policy, count)
-    sigma = math.exp(log_sigma) / config.action.scale
-    number = np.arange(count)
-    env.task[:] = tasks[:count]
-    env.begin(number)
-    waiting, active, ended = count, np.arange(count), []
-    action, noise = np.zeros((count, NUM_DOF), dtype=np.float32), np.empty((count, NUM_DOF))
-    while len(active):
-        rows = len(active)
-        mean = network.mean(env.observe(new_observations(rows), active))
-        fill_normal(config.seed, EVALUATION, number[active], env.steps[active], noise[:rows])
-        action[active] = mean + sigma * noise[:rows]
-        env.step(action, limits, active)
-        done = active[env.end[active] != 0]
-        if not len(done):
-            continue
-        ended.append(outcomes(env, 0, number, done, limits))
-        again = done[: len(tasks) - waiting]
-        number[again] = np.arange(waiting, waiting + len(again))
-        waiting += len(again)
-        env.task[again] = tasks[number[again]]
-        env.begin(again)
-        active = np.setdiff1d(active, done[len(again) :], assume_unique=True)
-    return concatenate_outcomes(ended)
+    return write_evaluation(Path(folder), config, load_newest(folder, config), make_pool, show)
 
 
-def table_metrics(episodes):
-    """Columns of Table 1 (section 6) of the `Outcomes` of all tasks: all but MS and IRFA."""
-    d = episodes.deviations.mean(axis=0)
-    return {
-        "FRPD": d[0], "FRVD": d[1], "FRRD": d[2], "FKPD": d[3], "FJRD": d[4], "FJAD": d[6],
-        # the reward's part without its weight in Eq. 1
-        "SURI": episodes.parts[:, REWARD_PARTS.index("upper_body")].mean() / W_UPPER_BODY,
-        "TC": episodes.trembles.mean(),
-        "TS": episodes.steps.mean(),
-        "TTAR": (episodes.end == REACHED).mean(),
-        "Return": episodes.parts.sum(axis=1).mean(),
-    }  # fmt: skip
-
-
-def robustness(config, reached_all):
-    """MS: log of the largest noise of `evaluation.robustness_log_sigmas` at which all tasks are reached, else None.
-
-    reached_all: log sigma -> bool. Noises are tried from the smallest on, up to the first that fails.
-    """
-    best = None
-    for log_sigma in sorted(config.evaluation.robustness_log_sigmas):
-        if not reached_all(log_sigma):
-            break
-        best = log_sigma
-    return best
-
-
-def evaluate_policy(config, policy, tightenings, irfa):
-    """evaluation.json's content (dict) of a policy: at the final accuracy, and at the thresholds that training reached.
-
-    metrics: the 13 columns at the final accuracy, the paper's criterion. trained: the same at the thresholds of so many
-    `tightenings`. A policy with a short training reaches little of the first and shows what it learned in the second.
-    """
-    library = build_library(build_state_machine(config.motions))
-    tasks = task_grid(library, config.evaluation)
-    if not len(tasks):
-        raise InputError("evaluation: the grid holds no task; lower evaluation.moment_spacing or widen a cancel range")
-    final = final_tightenings(config.curriculum)
-    content = {"tasks": len(tasks), "tightenings": tightenings, "final_tightenings": final}
-    for name, cuts in (("metrics", final), ("trained", tightenings)):
-        limits = thresholds(config.curriculum, config.reach, cuts)
-        content[name] = {**evaluate_at(config, library, policy, tasks, limits), "IRFA": irfa}
-        content[f"{name}_thresholds"] = [limits.root_position, limits.key_bodies, limits.joint_rotation]
-    return content
-
-
-def evaluate_at(config, library, policy, tasks, limits):
-    """The columns of Table 1 but IRFA (dict of float; MS may be None) at the given `Thresholds`."""
-    rates = {}
-
-    def reached_all(log_sigma):
-        if log_sigma not in rates:
-            rates[log_sigma] = run_tasks(config, library, policy, tasks, limits, log_sigma).end == REACHED
-        return bool(rates[log_sigma].all())
-
-    episodes = run_tasks(config, library, policy, tasks, limits, config.evaluation.log_sigma)
-    rates[config.evaluation.log_sigma] = episodes.end == REACHED
-    metrics = {key: float(value) for key, value in table_metrics(episodes).items()}
-    return {**metrics, "MS": robustness(config, reached_all)}
-
-
-def evaluate_run(folder, config):
-    """Evaluate the newest checkpoint of a run's folder; writes evaluation.json there and returns its content."""
-    folder = Path(folder)
-    saved, path = load_latest(folder, config)
-    if saved is None:
-        raise InputError(f"{folder}: holds no checkpoint; train it first (python -m orchestrator.train out={folder})")
-    curriculum = saved["parts"][1]
-    content = {
-        "checkpoint": str(path).rpartition("/")[2],
-        "samples": saved["iteration"] * config.samples_per_iteration,
-        "iterations": saved["iteration"],
-        **evaluate_policy(config, saved["policies"][-1].averaged(), curriculum.tightenings, curriculum.achieved_at),
-    }
-    replace_file(folder / "evaluation.json", (json.dumps(content, indent=2) + "\n").encode())
+def write_evaluation(out, config, subject, make_pool, show):
+    """Evaluate a `Subject` into the folder `out`; returns evaluation.json's content."""
+    (out / KEPT).mkdir(parents=True, exist_ok=True)
+    with run_folder.exclusive(out / KEPT, PATIENCE):
+        content = {
+            "checkpoint": subject.name,
+            "samples": subject.iteration * config.samples_per_iteration,
+            "iterations": subject.iteration,
+            **evaluate(config, subject, out, make_pool, show),
+        }
+        # last of all: whoever finds it knows that the evaluation is whole
+        replace_file(out / "evaluation.json", (json.dumps(content, indent=2) + "\n").encode())
     return content
 
 
 def main(arguments):
     """Command line; see the module's docstring."""
-    if not arguments:
-        raise InputError("no run folder given; e.g. python -m orchestrator.evaluate runs/ablation/ours-seed0")
-    folder = Path(arguments[0])
-    content = evaluate_run(folder, load(folder / "config.yaml", arguments[1:]))
-    print(f"{content['tasks']} tasks, checkpoint {content['checkpoint']}, {content['samples']} samples")
-    for name in ("metrics", "trained"):
-        limits = ", ".join(f"{value:.3g}" for value in content[f"{name}_thresholds"])
-        print(f"thresholds {limits}" + (" (final accuracy)" if name == "metrics" else " (reached in training)"))
-        print("  " + "  ".join(f"{key} {'x' if v is None else format(v, '.4g')}" for key, v in content[name].items()))
-    print(f"written: {folder / 'evaluation.json'}")
+    where, options, overrides = parse(arguments)
+    of_file = where.suffix == ".pt"
+    if not where.exists():
+        raise InputError(f"{where}: no such {'checkpoint' if of_file else 'folder'}")
+    config = load(config_file(where, of_file, options), ["device=cpu", *overrides])
+    subject = load_file(where, config) if of_file else load_newest(where, config)
+    if "--replay" in options:
+        return replay(config, subject, options)
+    out = where.with_name(f"{where.stem}-evaluation") if of_file else where
+    conclude(out, run(out, config, subject))
+    return 0
+
+
+def parse(arguments):
+    """(path, {option: value}, key=value arguments) of the command line. InputError if it is wrong."""
+    options, rest, waiting = {}, [], list(arguments)
+    while waiting:
+        argument = waiting.pop(0)
+        name, equals, value = argument.partition("=")
+        if not name.startswith("--"):
+            rest.append(argument)
+            continue
+        if name not in OPTIONS:
+            raise InputError(f"{name}: no such option; there are {', '.join(OPTIONS)}")
+        if OPTIONS[name] and not equals:
+            if not waiting:
+                raise InputError(f"{name}: needs a value")
+            value = waiting.pop(0)
+        options[name] = value
+    if not rest or "=" in rest[0]:
+        raise InputError("no run folder or checkpoint given; e.g. python -m orchestrator.evaluate runs/mine/ours-seed0")
+    for name in ("--save", "--final", "--deterministic"):
+        if name in options and "--replay" not in options:
+            raise InputError(f"{name}: goes with --replay N")
+    return Path(rest[0]), options, rest[1:]
+
+
+def config_file(where, of_file, options):
+    """Path of the configuration of a run's folder or of a checkpoint in one. InputError if there is none."""
+    if "--config" in options:
+        return Path(options["--config"])
+    path = run_folder.config_path(where.absolute().parent.parent if of_file else where)
+    if not path.exists():
+        what = "two levels above the checkpoint" if of_file else "there"
+        raise InputError(f"{where}: no config.yaml {what}; give the run's with --config FILE")
+    return path
+
+
+def run(out, config, subject):
+    """Evaluate on Ray or in this process, with a bar."""
+    if config.runtime == "local":
+        return write_evaluation(out, config, subject, lambda *_: LocalPool(config, subject), Bar)
+    from orchestrator import tuning
+
+    tuning.prepare_environment()
+    import ray
+
+    from orchestrator import cluster
+
+    cluster.connect(1)
+    catch_signals()
+    try:
+        return write_evaluation(out, config, subject, of_cluster, Bar)
+    finally:
+        ray.shutdown()
+
+
+def conclude(out, content):
+    """Print the columns, where the policy fails, and what was written."""
+    whole = content["grid"]["whole"]
+    of = "" if whole == content["tasks"] else f" of the grid's {whole:,}"
+    print(f"{content['tasks']:,} tasks{of}, checkpoint {content['checkpoint']}, {content['samples']:,} samples")
+    lines = [["", "noise", *content["metrics"]]]
+    for level, title in TITLES.items():
+        limits = "/".join(f"{value:.3g}" for value in content[f"{level}_thresholds"])
+        without = "deterministic" if level == "metrics" else "trained_deterministic"
+        for name, noise in ((level, f"exp({content['log_sigma']:g})"), (without, "none")):
+            values = ("x" if value is None else f"{value:.4g}" for value in content[name].values())
+            lines.append([f"{title} {limits}", noise, *values])
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    for first, *rest in lines:
+        print("  ".join([first.ljust(widths[0]), *(v.rjust(w) for v, w in zip(rest, widths[1:]))]))
+    worst = sorted((g for g in content["groups"] if g["tasks"]), key=lambda g: g["reached_trained"] / g["tasks"])[:3]
+    names = content["states"]
+    print("worst:   " + ", ".join(
+        f"{names[g['source']]} to {names[g['target']]} {g['reached_trained'] / g['tasks']:.1%}" for g in worst
+    ) + " reached (thresholds as trained)")  # fmt: skip
+    print(f"written: {out / 'evaluation.json'}")
+    print(f"         {out / FAILURES}  (one again: python -m orchestrator.evaluate ... --replay TASK)")
+
+
+def replay(config, subject, options):
+    """Play one task again and print it; returns the exit status."""
+    from orchestrator.evaluation.replay import record, save
+
+    machine = build_state_machine(config.motions)
+    library = build_library(machine)
+    grid = TaskGrid(library, config.evaluation)
+    try:
+        number = int(options["--replay"])
+    except ValueError:
+        number = -1
+    if not 0 <= number < grid.whole:
+        raise InputError(f"--replay {options['--replay']}: no task; numbers go from 0 to {grid.whole - 1}")
+    task = grid.tasks([number])[0]
+    limits = levels(config, subject.tightenings)["metrics" if "--final" in options else "trained"]
+    log_sigma = -math.inf if "--deterministic" in options else config.evaluation.log_sigma
+    motion = record(config, library, subject.policy, task, limits, log_sigma, number)
+    names = [state.name for state in machine.states]
+    source, target = names[int(task[0])], names[int(task[2])]
+    print(f"task {number}: {source} at {task[1]:.3f} s to {target}, turned by {task[3]:.4f} rad")
+    print(f"thresholds {limits.root_position:.3g} m, {limits.key_bodies:.3g} m, {limits.joint_rotation:.3g} rad")
+    print("step  d^rp (m)  d^kp (m)  d^q (rad)")
+    for step, deviations in enumerate(motion.deviations):
+        print(f"{step:>4}  {deviations[0]:8.4f}  {deviations[3]:8.4f}  {deviations[4]:9.4f}")
+    how, body = ended(motion.end, motion.fell_on)
+    print(f"{how}{' on ' * bool(body)}{body} after {len(motion.pd_target)} steps")
+    if "--save" in options:
+        save(motion, options["--save"])
+        print(f"written: {options['--save']}")
     return 0
 
 

@@ -18,8 +18,8 @@ NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
 
 # Keys that change no number of a run: another value continues it
 FREE = (
-    "out", "runtime", "worker_threads", "tracking.", "checkpoint.", "faults.", "physics.max_unstable_share",
-    "ppo.max_skipped",
+    "out", "runtime", "worker_threads", "tracking.", "report.", "checkpoint.", "faults.",
+    "physics.max_unstable_share", "ppo.max_skipped",
 )  # fmt: skip
 BUDGET = ("budget.",)  # may be raised
 EVALUATION = ("evaluation.",)  # another value needs another evaluation, but no other training
@@ -72,7 +72,15 @@ def state_of(folder, config):
             f"{folder}: holds a run of {done} iterations, more than the {config.total_iterations} of the budget; "
             "raise budget.samples or budget.iterations, choose another out= or delete this folder"
         )
-    return FINISHED if evaluation_path(folder).exists() and not changed else UNFINISHED
+    return FINISHED if iterations_evaluated(folder) >= config.total_iterations and not changed else UNFINISHED
+
+
+def iterations_evaluated(folder):
+    """Iterations of the checkpoint that evaluation.json tells of; 0 if there is none. It may be of a run half done."""
+    try:
+        return int(json.loads(evaluation_path(folder).read_text())["iterations"])
+    except (FileNotFoundError, ValueError, KeyError):
+        return 0
 
 
 def iterations_done(folder):

@@ -9,6 +9,7 @@ from collections import deque
 from pathlib import Path
 
 from learner import checkpoint
+from motion.state_machine import build_state_machine
 from orchestrator import faults
 from orchestrator.curriculum import CurriculumState, final_tightenings
 from orchestrator.history import History
@@ -35,6 +36,7 @@ def train(config, folder, report=lambda metrics: None, stop=lambda: False, notic
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    clips = build_state_machine(config.motions).clips_hash
     fault, reached, in_a_row = None, None, 0
     while True:
         saved, path = load_latest(folder, config)
@@ -42,11 +44,11 @@ def train(config, folder, report=lambda metrics: None, stop=lambda: False, notic
             where = f"goes on from the checkpoint of iteration {saved['iteration']}" if saved else "starts again"
             notice(f"{describe(fault)}; {where}")
         if saved is not None:
-            check_same_run(saved, config, path)
+            check_same_run(saved, config, clips, path)
         runtime, loop = None, None
         try:
             runtime = build_runtime(config, *(saved or {}).get("parts", (None, None)), notice=notice)
-            loop = _Loop(config, folder, runtime, report, stop, saved)
+            loop = _Loop(config, clips, folder, runtime, report, stop, saved)
             return loop.run()
         except FAULTS as error:
             if not is_fault(error):
@@ -63,8 +65,8 @@ def train(config, folder, report=lambda metrics: None, stop=lambda: False, notic
 
 
 class _Loop:
-    def __init__(self, config, folder, runtime, report, stop, saved):
-        self._config, self._folder, self._runtime = config, folder, runtime
+    def __init__(self, config, clips, folder, runtime, report, stop, saved):
+        self._config, self._clips, self._folder, self._runtime = config, clips, folder, runtime
         self._report, self._stop = report, stop
         if saved is None:
             self._iteration = 0
@@ -145,7 +147,7 @@ class _Loop:
         parts, states, policies, thresholds = snapshot
         learner, curriculum = value(parts[0]), value(parts[1])
         content = content_of(
-            self._config, iteration, learner, curriculum, value(states), value(policies), value(thresholds)
+            self._config, self._clips, iteration, learner, curriculum, value(states), value(policies), value(thresholds)
         )
         self._history.sync()  # a checkpoint on the disk has its lines there, too
         checkpoint.save(place(self._folder, self._config), iteration, content, self._config.checkpoint.keep)

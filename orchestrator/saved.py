@@ -20,14 +20,16 @@ def place(folder, config):
     return storage.join(config.checkpoint.storage, folder.parent.name, folder.name)
 
 
-def content_of(config, iteration, learner, curriculum, workers, policies, thresholds):
+def content_of(config, clips, iteration, learner, curriculum, workers, policies, thresholds):
     """A checkpoint's content, for `learner.checkpoint.save`; the arguments are values, not handles.
 
-    learner: `LearnerState.state_dict()`; curriculum: `CurriculumState`; workers, policies, thresholds: lists.
+    clips: `StateMachine.clips_hash`. learner: `LearnerState.state_dict()`; curriculum: `CurriculumState`; workers,
+    policies, thresholds: lists.
     """
     return {
         "iteration": iteration,
         "config": _numbers_of(config),
+        "clips": clips,
         "learner": learner,
         "curriculum": asdict(curriculum),
         "workers": [vars(state) for state in workers],
@@ -39,9 +41,9 @@ def content_of(config, iteration, learner, curriculum, workers, policies, thresh
 def load_latest(folder, config=None):
     """(content of the newest readable checkpoint of a run's folder, its path), or (None, None) if there is none yet.
 
-    content: iteration, config (see `check_same_run`), parts (learner's and curriculum's state), workers, policies,
-    thresholds. With a `Config` its `checkpoint.storage` is searched, too. A broken one is passed over with a warning;
-    InputError if all are broken.
+    content: iteration, config and clips (see `check_same_run`; empty and None in older ones), parts (learner's and
+    curriculum's state), workers, policies, thresholds. With a `Config` its `checkpoint.storage` is searched, too. A
+    broken one is passed over with a warning; InputError if all are broken.
     """
     places = [Path(folder) / "checkpoints"]
     if config is not None and config.checkpoint.storage is not None:
@@ -60,6 +62,7 @@ def _objects(content):
     return {
         "iteration": content["iteration"],
         "config": content.get("config", {}),
+        "clips": content.get("clips"),
         "parts": (content["learner"], CurriculumState(**curriculum)),
         "workers": [WorkerState(**_arrays(item)) for item in content["workers"]],
         "policies": [Policy(**_arrays(item)) for item in content["policies"]],
@@ -67,8 +70,12 @@ def _objects(content):
     }
 
 
-def check_same_run(saved, config, path):
-    """InputError if what `load_latest` found at `path` is of a run with other numbers; a storage may hold many runs."""
+def check_same_run(saved, config, clips, path):
+    """InputError if what `load_latest` found at `path` is of a run with other numbers; a storage may hold many runs.
+
+    clips: `StateMachine.clips_hash` of the clips as they are now.
+    """
+    check_same_clips(saved["clips"], clips, path)
     wanted = _numbers_of(config)
     for key, value in saved["config"].items():
         if key in wanted and wanted[key] != value:
@@ -76,6 +83,15 @@ def check_same_run(saved, config, path):
                 f"{path}: of a run with {key}={shown(value)}, asked for {key}={shown(wanted[key])}; "
                 "choose another out= or checkpoint.storage="
             )
+
+
+def check_same_clips(trained, clips, path):
+    """InputError unless a checkpoint's hash of its clips (None: of an older version) is that of the clips now."""
+    if trained is not None and trained != clips:
+        raise InputError(
+            f"{path}: trained with other clips of the same names: their poses have changed since; "
+            "give the folder with the old ones as motions.dir=, or choose another out="
+        )
 
 
 def _numbers_of(config):

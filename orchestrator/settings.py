@@ -25,6 +25,7 @@ from orchestrator.keys import all_keys, find_key, keys_of, suggestion
 from orchestrator.validate import check_values, shown
 
 FILE_KEYS = ("scale", "motions")
+REMOVED_KEYS = ("evaluation.robustness_log_sigmas",)  # runs of older versions have them in their config.yaml
 
 
 @dataclasses.dataclass(frozen=True)
@@ -229,7 +230,7 @@ def load(path, arguments=()):
     for key in FILE_KEYS:
         if key in command.values:
             raise InputError(f"command line: {key}= chooses a file for a new run; {path} is complete already")
-    entries = [(key, value, str(path)) for key, value in flatten(read_yaml(path, "configuration"))]
+    entries = [(k, v, str(path)) for k, v in flatten(read_yaml(path, "configuration")) if k not in REMOVED_KEYS]
     entries = stacked([entries, [(key, value, command.origin) for key, value in flatten(command.values)]])
     result = to_config(nested(entries), f"configuration {path}")
     origins = {key: origin for key, _, origin in entries}

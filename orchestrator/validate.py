@@ -118,7 +118,13 @@ RULES = {
     "evaluation.max_tasks": at_least(0),
     "evaluation.num_envs": at_least(1),
     "evaluation.log_sigma": FINITE,
-    "evaluation.robustness_log_sigmas": every(FINITE),
+    "evaluation.robustness_bracket": every(FINITE, 2),
+    "evaluation.robustness_resolution": above(0),
+    "evaluation.num_workers": at_least(0),
+    "report.strips": at_least(0),
+    "report.videos": at_least(0),
+    "report.tasks": at_least(0),
+    "report.figures": ("the path of a folder", lambda v: v.strip() != ""),
     "tracking.uri": ("an address such as sqlite:///mlflow.db or http://host:5000", lambda v: v.strip() != ""),
 }
 
@@ -146,13 +152,19 @@ def check_relations(config, source):
         )
     if config.task.focus and not config.policy.judges:
         raise InputError(
-            f"{source('task.focus')}: task.focus={config.task.focus} needs judging environments, whose tasks stay uniform "
-            "and move the curriculum: set policy.judges, e.g. policy.judges=8"
+            f"{source('task.focus')}: task.focus={config.task.focus} needs judging environments, whose tasks stay "
+            "uniform and move the curriculum: set policy.judges, e.g. policy.judges=8"
         )
     if config.reach.heading_floor > config.reach.heading_start:
         raise InputError(
             f"{source('reach.heading_floor')}: reach.heading_floor={config.reach.heading_floor} must not be above "
             f"reach.heading_start={config.reach.heading_start}"
+        )
+    low, high = config.evaluation.robustness_bracket
+    if low > high:
+        raise InputError(
+            f"{source('evaluation.robustness_bracket')}: evaluation.robustness_bracket={shown([low, high])} is "
+            f"reversed; use {shown([high, low])}"
         )
     for low, high in zip(config.curriculum.floor, config.curriculum.start, strict=True):
         if low > high:

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from motion import skeleton
+from motion.measures import horizontal_speed, velocity_change
 from motion.onehop.legs import arrival
 from motion.onehop.player import Player
 
@@ -89,8 +90,8 @@ def foot_speed(played):
 
     A foot is planted where the clip with the larger share says so (`Clip.contacts`) at both frames.
     """
-    position = skeleton.forward_kinematics(played.poses)[0][:, skeleton.FOOT_BODIES, :2]
-    speed = np.linalg.norm(np.diff(position, axis=0), axis=-1) * played.fps
+    position = skeleton.forward_kinematics(played.poses)[0][:, skeleton.FOOT_BODIES]
+    speed = horizontal_speed(position, played.fps)
     return np.where(played.planted[1:] & played.planted[:-1], speed, np.nan)
 
 
@@ -104,9 +105,8 @@ def foot_skate(played):
 
 def root_jump(played):
     """Largest change (m/s) of the root's velocity between frames JUMP_TIME apart that touch a blend."""
-    velocity = np.diff(played.poses[:, :3], axis=0) * played.fps
     apart = max(1, round(JUMP_TIME * played.fps))
-    change = np.linalg.norm(velocity[apart:] - velocity[:-apart], axis=-1)
+    change = velocity_change(played.poses[:, :3], played.fps, apart)
     touched = np.flatnonzero(played.blending)
     first, last = max(0, touched[0] - apart), min(len(change), touched[-1] + 1)
     return float(change[first:last].max())

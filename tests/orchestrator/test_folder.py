@@ -20,7 +20,7 @@ def finished(path, *arguments):
     folder.prepare(path, config_of(*arguments))
     lines = [json.dumps({"iteration": i}) for i in (1, 2, 3)]
     folder.metrics_path(path).write_text("\n".join(lines) + "\n")
-    folder.evaluation_path(path).write_text("{}")
+    folder.evaluation_path(path).write_text('{"iterations": 3}')
 
 
 def test_new_unfinished_finished(tmp_path):
@@ -52,6 +52,13 @@ def test_a_higher_budget_continues_and_a_lower_one_is_refused(tmp_path):
     folder.prepare(tmp_path, more)
     assert not folder.evaluation_path(tmp_path).exists()
     assert load(folder.config_path(tmp_path)) == more
+
+
+def test_an_evaluation_of_a_run_half_done_does_not_finish_it(tmp_path):
+    finished(tmp_path)
+    for content in ('{"iterations": 2}', "{}", '{"iterat'):
+        folder.evaluation_path(tmp_path).write_text(content)
+        assert folder.state_of(tmp_path, config_of()) == folder.UNFINISHED
 
 
 def test_another_evaluation_needs_only_that(tmp_path):
@@ -92,3 +99,11 @@ def test_a_folder_has_one_owner_and_a_dead_one_lets_go(tmp_path):
     holder.wait()
     with folder.exclusive(tmp_path, wait=5):
         pass
+
+
+def test_a_configuration_of_an_older_version_with_a_key_since_removed_still_loads(tmp_path):
+    folder.prepare(tmp_path, config_of())
+    path = folder.config_path(tmp_path)
+    path.write_text(path.read_text().replace("evaluation:\n", "evaluation:\n  robustness_log_sigmas: [-3.7, -2.9]\n"))
+    assert "robustness_log_sigmas" in path.read_text()
+    assert folder.state_of(tmp_path, config_of()) == folder.UNFINISHED

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import fsspec
@@ -9,7 +10,10 @@ import pytest
 from disk import largest_file
 
 from learner import checkpoint
+from motion import builtin
 from motion.errors import InputError
+from motion.formats import npz
+from orchestrator.evaluation.subject import load_newest
 from orchestrator.folder import metrics_path
 from orchestrator.history import without_clock
 from orchestrator.run import train
@@ -133,8 +137,34 @@ def test_a_run_stopped_by_a_full_disk_continues_with_the_same_numbers(
     assert_same_end(stopped, finished, assert_same_bits)
 
 
-@pytest.mark.parametrize("value", ["checkpoints", "/mnt/x", "''", "s3://key:secret@bucket/x", "s3://key:se/cr/et@bucket"])
+@pytest.mark.parametrize(
+    "value", ["checkpoints", "/mnt/x", "''", "s3://key:secret@bucket/x", "s3://key:se/cr/et@bucket"]
+)
 def test_a_storage_is_a_url_without_a_password(value):
     with pytest.raises(InputError, match="checkpoint.storage=.* must be a URL"):
         build([command_line([f"checkpoint.storage={value}"])])
     assert build([command_line(["checkpoint.storage=s3://bucket/x"])]).checkpoint.storage == "s3://bucket/x"
+
+
+# -------------------------------------------------------------------------------------------------------- other clips
+
+
+def test_a_run_whose_clips_have_changed_is_neither_continued_nor_evaluated(tmp_path, configure):
+    """The same name and file, another pose in it."""
+    clip = builtin.load("idle")
+    npz.write(clip, tmp_path / "idle.npz")
+
+    def config(iterations):
+        made = configure(**{"budget.iterations": iterations})
+        own = replace(made.motions.clips["idle"], file="idle.npz")
+        return replace(made, motions=replace(made.motions, dir=str(tmp_path), clips={"idle": own}))
+
+    train(config(1), tmp_path / "run")
+    train(config(2), tmp_path / "run")
+    qpos = clip.qpos.copy()
+    qpos[:, 2] += 0.01
+    npz.write(replace(clip, qpos=qpos), tmp_path / "idle.npz")
+    with pytest.raises(InputError, match="00000002.pt: trained with other clips of the same names.*motions.dir="):
+        train(config(3), tmp_path / "run")
+    with pytest.raises(InputError, match="trained with other clips of the same names"):
+        load_newest(tmp_path / "run", config(2))

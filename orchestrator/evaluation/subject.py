@@ -1,0 +1,81 @@
+"""What is evaluated: the policy of a checkpoint, and whether it fits the configuration that it is evaluated with."""
+
+from dataclasses import asdict, dataclass
+
+from motion.errors import InputError
+from motion.state_machine import build_state_machine
+from orchestrator import saved
+from orchestrator.settings import flatten
+from orchestrator.validate import shown
+from workers.kinematics import NUM_DOF
+from workers.observation import OBSERVATION_SIZE
+from workers.types import Policy
+
+# Keys that give the policy's numbers their meaning; what else a checkpoint was trained with may differ
+_MEANING = ("motions.clips.", "action.", "network.")
+# of them, those that only say which tasks there are
+_TASKS = (".cancel", ".beats", ".genre")
+
+
+@dataclass(frozen=True)
+class Subject:
+    """policy: `workers.types.Policy` that acts in evaluation. tightenings: cuts of the thresholds when it was saved.
+
+    irfa: iteration that achieved the final accuracy, or None. iteration: of the checkpoint, whose file is `name`.
+    """
+
+    policy: Policy
+    tightenings: int
+    irfa: int | None
+    iteration: int
+    name: str
+
+
+def load_newest(folder, config):
+    """The `Subject` of a run's folder: its newest readable checkpoint. InputError if none is there or fits."""
+    content, path = saved.load_latest(folder, config)
+    if content is None:
+        raise InputError(f"{folder}: holds no checkpoint; train it first (python -m orchestrator.train out={folder})")
+    return _subject(content, config, path)
+
+
+def load_file(path, config):
+    """The `Subject` of one checkpoint file. InputError if it is none, broken, or does not fit `config`."""
+    return _subject(saved.load_file(path), config, path)
+
+
+def _subject(content, config, path):
+    policy = content["policies"][-1].averaged()
+    check(policy, content["config"], config, path)
+    saved.check_same_clips(content["clips"], build_state_machine(config.motions).clips_hash, path)
+    curriculum = content["parts"][1]
+    return Subject(
+        policy, curriculum.tightenings, curriculum.achieved_at, content["iteration"], str(path).rpartition("/")[2]
+    )
+
+
+def check(policy, trained, config, path):
+    """InputError unless a policy fits a `Config`. trained: {dotted key: value} of its training; none of schema 1."""
+    inputs, outputs = policy.weights[0].shape[0], policy.weights[-1].shape[1]
+    if (inputs, outputs) != (OBSERVATION_SIZE, NUM_DOF):
+        raise InputError(
+            f"{path}: of another character: its network turns {inputs} numbers into {outputs}, this one's "
+            f"{OBSERVATION_SIZE} into {NUM_DOF}; evaluate it with the version that trained it"
+        )
+    wanted = dict(flatten(asdict(config)))
+    if trained and clips_of(trained) != clips_of(wanted):
+        raise InputError(
+            f"{path}: trained with the clips {', '.join(clips_of(trained))}, asked for {', '.join(clips_of(wanted))}; "
+            "a policy knows no other clips than those it was trained with"
+        )
+    for key, value in trained.items():
+        if key.startswith(_MEANING) and not key.endswith(_TASKS) and key in wanted and wanted[key] != value:
+            raise InputError(
+                f"{path}: trained with {key}={shown(value)}, asked for {key}={shown(wanted[key])}; "
+                "evaluate a policy with what it was trained with"
+            )
+
+
+def clips_of(values):
+    """Names of the clips in their order, of {dotted key: value}."""
+    return list(dict.fromkeys(key.split(".")[2] for key in values if key.startswith("motions.clips.")))
