@@ -1,64 +1,16 @@
-"""The report's pictures as SVG text whose colours are the page's: they follow its light and dark theme.
+"""The report's pictures (`motion.picture`): SVG text in the page's colours."""
 
-matplotlib draws with placeholder colours, which are then replaced by CSS variables (`var(--source)` ...).
-"""
-
-import io
-import re
-from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 
 from motion import rotations
 from motion.onehop import render
+from motion.picture import drawing, palette
 
-# placeholder in the drawing: variable of the page
-COLOURS = {
-    "ink": "#010203", "faint": "#010204", "grid": "#010205", "paper": "#010206",
-    "source": "#010207", "hop": "#010208", "destination": "#010209", "second": "#01020a",
-    "direct": "#01020b", "onehop": "#01020c", "twohop": "#01020d", "wait": "#01020e",
-}  # fmt: skip
-STYLE = {
-    "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 9, "axes.titlesize": 9, "axes.labelsize": 9,
-    "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8, "legend.frameon": False,
-    "text.color": COLOURS["ink"], "axes.edgecolor": COLOURS["faint"], "axes.labelcolor": COLOURS["ink"],
-    "xtick.color": COLOURS["faint"], "ytick.color": COLOURS["faint"], "xtick.labelcolor": COLOURS["ink"],
-    "ytick.labelcolor": COLOURS["ink"], "grid.color": COLOURS["grid"], "axes.spines.top": False,
-    "axes.spines.right": False, "axes.axisbelow": True, "lines.linewidth": 1.3, "path.simplify": True,
-}  # fmt: skip
+COLOURS = palette("source", "hop", "destination", "second", "direct", "onehop", "twohop", "wait")
+_figure = partial(drawing, COLOURS)
 SIDE, THREE_QUARTERS = (-90.0, 4.0), (-55.0, 12.0)  # azimuth and elevation of the camera, degrees
-
-
-@contextmanager
-def _figure(name, title, width, height, **keywords):
-    """(figure, axes, out), out["svg"] afterwards. name: unique on the page. title: for screen readers. Inches."""
-    import matplotlib  # only a report needs it
-
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **STYLE, "svg.hashsalt": name, "svg.id": name}):
-        from matplotlib.backends.backend_svg import FigureCanvasSVG
-        from matplotlib.figure import Figure
-
-        figure, out = Figure(figsize=(width, height), layout="constrained"), {}
-        FigureCanvasSVG(figure)
-        yield figure, figure.subplots(**keywords), out
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-        out["svg"] = _inline(buffer.getvalue(), name, title, width)
-
-
-def _inline(text, name, title, width):
-    """The svg element of an SVG file, with the page's colours and without the ids that nothing refers to."""
-    text = text[text.index("<svg") :]
-    used = set(re.findall(r'#([^")]+)[")]', text))
-    text = re.sub(r' id="([^"]+)"', lambda match: match[0] if match[1] in used else "", text)
-    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.S)
-    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.S)
-    for variable, colour in COLOURS.items():
-        text = text.replace(colour, f"var(--{variable})")
-    # an element's size is the page's affair; its shape is in the viewBox
-    head, _, rest = text.partition(">")
-    head = re.sub(r' (width|height)="[^"]*"', "", head)
-    return f'{head} role="img" aria-label="{title}" style="--width:{width * 96:.0f}px">{rest}'
 
 
 def cost_bars(name, rows):

@@ -9,41 +9,17 @@ from motion.onehop import figures
 from motion.onehop.report_data import BARS, KINDS, TRADE_OFF_PAIRS, distance_map, effects, trigger
 from motion.onehop.report_measures import JUMP_TIME, foot_speed
 from motion.onehop.search import build
+from motion.page import data_table, document, figure, style
 
 SPACING = 0.15  # s between two figures of a film strip
 STRIP_WEIGHTS = (10.0, 1.0, 0.1)  # Fig. 11, from responsive to smooth
 
-STYLE = """
-:root { color-scheme: light dark;
-  --ink: #1d2329; --faint: #7b858f; --grid: #e1e5e9; --paper: #ffffff; --panel: #f6f7f9;
-  --source: #0f8f9c; --hop: #c98a00; --second: #7a6ff0; --destination: #c2388f;
-  --direct: #8a939c; --onehop: #1f6fd1; --twohop: #1f9d62; --wait: #e07b39; }
-@media (prefers-color-scheme: dark) { :root {
-  --ink: #e4e8ec; --faint: #8c97a3; --grid: #2c343c; --paper: #14181c; --panel: #1b2026;
-  --source: #45c7d4; --hop: #f0b52e; --second: #a79cff; --destination: #f06cbd;
-  --direct: #99a3ad; --onehop: #5ea3f7; --twohop: #4ccb8d; --wait: #f39a5d; } }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 68rem; padding: 1rem; background: var(--paper); color: var(--ink);
-  font: 16px/1.5 system-ui, sans-serif; }
-h1 { font-size: 1.5rem; line-height: 1.25; margin: .5rem 0; }
-h2 { font-size: 1.15rem; margin: 2.2rem 0 .3rem; padding-top: .8rem; border-top: 1px solid var(--grid); }
-h3 { font-size: 1rem; margin: 1.2rem 0 .2rem; }
-p { margin: .4rem 0; max-width: 46rem; }
-figure { margin: .8rem 0; }
-figcaption { color: var(--faint); font-size: .85rem; max-width: 46rem; }
-svg { display: block; width: 100%; max-width: var(--width); height: auto; }
-.side { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 24rem), 1fr)); gap: 0 1.5rem; }
-figure, .scroll { max-width: 100%; min-width: 0; }
-.scroll { overflow-x: auto; width: fit-content; background: var(--panel); border-radius: 6px; padding: .4rem; }
-.scroll svg { width: var(--width); max-width: none; }
-table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid var(--grid); white-space: nowrap; }
-th { font-weight: 600; vertical-align: bottom; white-space: normal; }
-@media (max-width: 34rem) { table { font-size: .8rem; } th, td { padding: .2rem .3rem; } }
-th:first-child, td:first-child { text-align: left; }
-.keys span { white-space: nowrap; margin-right: .9em; }
-.key { display: inline-block; width: .8em; height: .8em; border-radius: 2px; margin-right: .35em; }
-"""
+STYLE = style(
+    """--source: #0f8f9c; --hop: #c98a00; --second: #7a6ff0; --destination: #c2388f;
+  --direct: #8a939c; --onehop: #1f6fd1; --twohop: #1f9d62; --wait: #e07b39;""",
+    """--source: #45c7d4; --hop: #f0b52e; --second: #a79cff; --destination: #f06cbd;
+  --direct: #99a3ad; --onehop: #5ea3f7; --twohop: #4ccb8d; --wait: #f39a5d;""",
+)
 
 
 def page(study, name):
@@ -51,14 +27,7 @@ def page(study, name):
     sections = [_head(study, name), _costs(study)]
     if study.triggers:
         sections += [_strips(study), _weights(study), _distances(study)]
-    title = f"One-hop transitions: {html.escape(name)}"
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<link rel="icon" href="data:,">\n<title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n'
-        + "\n".join(sections)
-        + "\n</body>\n</html>\n"
-    )
+    return document(f"One-hop transitions: {name}", STYLE, sections)
 
 
 def _head(study, name):
@@ -94,7 +63,7 @@ def _costs(study):
         shown = ["–" if x is None else form.format(x) if form else _percent(x) for x in numbers]
         rows.append([words, *shown])
     out = f"""<h2>Cost</h2>
-{_table(["", *KINDS], rows)}
+{data_table(["", *KINDS], rows)}
 <p>Means over all triggers. The paper's R counts only the frames that a clip is played alone. <i>Charged</i>: every
 further blend costs w b too, as if its frames were waited; where the direct transition is then cheaper, it is taken.
 {_percent(total["two-hop"]["second"])} of the two-hop optima use a second hop.</p>"""
@@ -116,8 +85,8 @@ further blend costs w b too, as if its frames were waited; where the direct tran
     curve = figures.cost_curves("curve", np.arange(len(here)) / study.clips.fps, curves)
     return f"""{out}
 <div class="side">
-{_figure(bars, "A few triggers, evenly spread over all (the paper's Fig. 10).")}
-{_figure(curve, f"Every trigger frame of {html.escape(case.source)} → {html.escape(case.destination)}.")}
+{figure(bars, "A few triggers, evenly spread over all (the paper's Fig. 10).")}
+{figure(curve, f"Every trigger frame of {html.escape(case.source)} → {html.escape(case.destination)}.")}
 </div>
 <details><summary>Which triggers</summary><p>{names}.</p></details>"""
 
@@ -139,9 +108,9 @@ def _strips(study):
             {kind: (case.played[kind].time[1:], foot_speed(case.played[kind])) for kind in ("direct", "one-hop")},
         )
         out.append(f"<h3>{_trigger_words(case, study.clips.fps)}</h3>")
-        out.append(_figure(strip, "", scroll=True))
+        out.append(figure(strip, "", scroll=True))
         out.append(
-            f'<div class="side">{_figure(feet, "Horizontal speed of planted ankles.")}<div>{_effects(effects([case]))}'
+            f'<div class="side">{figure(feet, "Horizontal speed of planted ankles.")}<div>{_effects(effects([case]))}'
         )
         out.append("</div></div>")
     out.append(
@@ -159,7 +128,7 @@ def _effects(means):
         [kind, f"{speed:.3f}", f"{100 * slide:.1f}", f"{jump:.2f}", f"{added:.2f}"]
         for kind, (speed, slide, jump, added) in means.items()
     ]
-    return _table(["", "planted feet, m/s", "slide, cm", "root's jump, m/s", "root, added, m/s"], rows)
+    return data_table(["", "planted feet, m/s", "slide, cm", "root's jump, m/s", "root, added, m/s"], rows)
 
 
 def _weights(study):
@@ -185,9 +154,9 @@ def _weights(study):
 <p>The same trigger, {_trigger_words(case, clips.fps)}, with ten times, once and a tenth of the weight (the paper's
 Fig. 11): a larger one is more responsive, a smaller one smoother.</p>
 {_legend()}
-{_figure(figures.film_strip("strip-weights", rows, SPACING), "", scroll=True)}
-<div class="side">{_figure(figures.trade_off("trade", points), f"Means over {TRADE_OFF_PAIRS} pairs at most.")}
-<div>{_table(["", "S, m²", "time to arrival, s", "via"], cells)}</div></div>"""
+{figure(figures.film_strip("strip-weights", rows, SPACING), "", scroll=True)}
+<div class="side">{figure(figures.trade_off("trade", points), f"Means over {TRADE_OFF_PAIRS} pairs at most.")}
+<div>{data_table(["", "S, m²", "time to arrival, s", "via"], cells)}</div></div>"""
 
 
 def _distances(study):
@@ -203,7 +172,7 @@ def _distances(study):
     )
     if config.regime == "fixed":
         words = words.rpartition(" The direct")[0]
-    return f"<h2>Distance of two clips</h2>\n{_figure(picture, words)}"
+    return f"<h2>Distance of two clips</h2>\n{figure(picture, words)}"
 
 
 # -------------------------------------------------------------------------------------------------------------- pieces
@@ -211,17 +180,6 @@ def _distances(study):
 
 def _percent(share):
     return f"{100 * share:.0f} %"
-
-
-def _table(head, rows):
-    line = "".join(f"<th>{text}</th>" for text in head)
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{line}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def _figure(svg, caption, scroll=False):
-    inner = f'<div class="scroll" tabindex="0">{svg}</div>' if scroll else svg
-    return f"<figure>{inner}{f'<figcaption>{caption}</figcaption>' if caption else ''}</figure>"
 
 
 def _legend():

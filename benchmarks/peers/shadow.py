@@ -1,0 +1,55 @@
+"""The achievement rate of a run that explores or draws its tasks otherwise, measured as the other libraries' is.
+
+Segue at scale=laptop has environments that act with less noise (`policy.judges`), noise that lasts several steps
+(`policy.noise_window`) and draws tasks by how often they fail (`task.focus`), so that its own log tells a rate of
+something else. Here its policies, one per iteration, act once more, in environments that nobody learns from: uniform
+tasks, independent noise of the training's size.
+"""
+
+import pickle
+from dataclasses import replace
+
+from benchmarks.peers.task import first_thresholds
+from motion.state_machine import build_state_machine
+from workers.library import build_library
+from workers.rollout import Rollout
+from workers.types import REACHED
+
+SEED = 10_007  # added to the run's: other tasks and noise than those of the training
+
+
+def explores_otherwise(config):
+    """Whether the log of a run of this `Config` is about other tasks or noise than plain PPO's."""
+    policy = config.policy
+    return bool(policy.judges or policy.noise_window > 1 or config.task.focus)
+
+
+def save(folder, iteration, policy):
+    """Keep the `Policy` that collected the chunk of an iteration, counted from 1."""
+    folder.mkdir(exist_ok=True)
+    (folder / f"{iteration:07d}.pkl").write_bytes(pickle.dumps(policy))
+
+
+def achievement(config, folder, last, window, averaged=False):
+    """Achievement rate of the policies of the `window` iterations up to iteration `last`, a chunk by each.
+
+    config: `Config` of plain PPO. averaged: by the running averages of their weights (`policy.average`) instead.
+    """
+    rollout = Rollout(
+        config, build_library(build_state_machine(config.motions)), config.num_envs, config.horizon,
+        config.seed + SEED, config.worker_threads,
+    )  # fmt: skip
+    limits, state = first_thresholds(config), rollout.initial_state(0)
+    numbers = [max(last - window + 1 + i, 1) for i in range(window)]
+    # all environments begin together, short episodes end first: until time is up, the rate is not that of the tasks
+    before = -(-config.task.max_steps // config.horizon)
+    reached = ended = 0
+    for i, number in enumerate([numbers[0]] * before + numbers):
+        policy = pickle.loads((folder / f"{number:07d}.pkl").read_bytes())
+        policy = policy.averaged() if averaged else policy
+        policy = replace(policy, noise_window=1, judges=0, average_weights=(), average_biases=())
+        chunk, state = rollout.collect(state, policy, limits)
+        if i >= before:
+            fresh = ~chunk.outcomes.retained
+            ended, reached = ended + int(fresh.sum()), reached + int((fresh & (chunk.outcomes.end == REACHED)).sum())
+    return reached / ended if ended else None

@@ -1,0 +1,120 @@
+"""What `python -m benchmarks.peers` measures is what happened: samples, fresh tasks, iterations, lines, processes."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from benchmarks import processes
+from benchmarks.peers import shadow
+from benchmarks.peers.libraries import build_lines
+from benchmarks.peers.lines import count_lines
+from benchmarks.peers.record import Writer, read
+from benchmarks.peers.task import PLAIN, build_config, first_thresholds
+from workers.types import REACHED
+
+STEPS = 80
+
+
+@pytest.mark.parametrize("same_step", [True, False])
+def test_recorded_environments_count_what_they_did(same_step, make_config, easy, tmp_path):
+    """Samples without the steps that only begin an episode, ends of fresh tasks, an iteration where a batch is full."""
+    gymnasium = pytest.importorskip("gymnasium")
+    from benchmarks.peers.recorded_env import Enough, Recorded
+    from workers.vector_env import TransitionVectorEnv
+
+    modes = gymnasium.vector.AutoresetMode
+    mode = modes.SAME_STEP if same_step else modes.NEXT_STEP
+    plain = TransitionVectorEnv(make_config({"task.max_steps": 6}), easy, 5, autoreset_mode=mode)
+    asked = []
+    env = Recorded(plain, tmp_path / "a.record", batch=20, enough=lambda: asked.append(1) or len(asked) > 8)
+    env.reset(seed=1)
+    generator, samples, ended, reached, waiting = np.random.default_rng(0), 0, 0, 0, np.zeros(5, bool)
+    with pytest.raises(Enough):
+        for _ in range(STEPS):
+            result = env.step(generator.normal(size=(5, 31), scale=0.5))
+            for i in range(5):
+                samples += not waiting[i]
+                if result[2][i]:
+                    info = result[4]["final_info"] if same_step else result[4]
+                    ended += not info["retained"][i]
+                    reached += bool(info["reached"][i] and not info["retained"][i])
+            waiting = result[2] if not same_step else waiting
+    record = read([tmp_path / "a.record"])
+    assert record.at(time.monotonic()) == (samples, ended, reached)
+    assert ended > reached > 0
+    assert len(record.begins) == len(asked) == 9
+    collected = np.diff([record.at(moment)[0] for moment in record.begins])
+    assert (collected >= 20).all() and (collected < 25).all()
+
+
+def test_records_of_several_processes_are_read_as_one_run(tmp_path):
+    one, other = Writer(tmp_path / "1.record"), Writer(tmp_path / "2.record")
+    for begin in range(4):
+        one.write(0, 0, 0, True, at=begin)
+        one.write(10, 4, 1 + begin, False, at=begin + 0.5)
+        other.write(0, 0, 0, True, at=begin)
+        other.write(10, 2, 1, False, at=begin + 0.6)
+    one.write(0, 0, 0, True, at=4)
+    with open(tmp_path / "1.record", "ab") as file:
+        file.write(b"half a record")
+    record = read(tmp_path.glob("*.record"))
+    np.testing.assert_array_equal(record.begins, [0, 1, 2, 3, 4])
+    assert record.at(0.4) == (0, 0, 0) and record.at(2.0) == (40, 12, 5)
+    assert record.when(40) == 2.0 and record.when(41) == 3.0 and record.when(81) is None
+    assert record.achievement(3.0, 20) == (3 + 1) / 6  # the third iteration alone
+    assert record.achievement(3.0, 1000) == (1 + 2 + 3 + 3) / 18
+    assert record.achievement(0.0, 20) is None
+
+
+def test_a_shadow_counts_the_fresh_tasks_of_the_policies_it_is_given(make_config, make_policy, tmp_path):
+    """By the policies of the window, in their order, after as many steps as an episode may take."""
+    config = make_config({"task.max_steps": 16, "curriculum.start": [0.35, 3.0, 1.0]})
+    policies = [make_policy(seed=k) for k in range(1, 5)]
+    for iteration, policy in enumerate(policies, 1):
+        shadow.save(tmp_path, iteration, policy)
+    rollout = shadow.Rollout(
+        config, shadow.build_library(shadow.build_state_machine(config.motions)), 8, 8, config.seed + shadow.SEED
+    )
+    state, counted = rollout.initial_state(0), []
+    for policy in [policies[1], policies[1], *policies[1:]]:
+        chunk, state = rollout.collect(state, policy, first_thresholds(config))
+        counted.append(chunk.outcomes.end[~chunk.outcomes.retained] == REACHED)
+    assert shadow.achievement(config, tmp_path, last=4, window=3) == np.concatenate(counted[2:]).mean()
+    assert not shadow.explores_otherwise(config)
+
+
+def test_plain_ppo_explores_as_the_others_do_and_the_laptop_does_not():
+    assert not shadow.explores_otherwise(build_config([]))
+    own = {name: line.source.read_text() for name, line in build_lines("python").items() if line.is_segue}
+    for key in PLAIN:
+        assert f"\n{key}=" in own["segue_plain"] and f"\n{key}=" not in own["segue"]
+
+
+def test_lines_are_counted_without_blanks_comments_and_docstrings(tmp_path):
+    path = tmp_path / "a.py"
+    head = '"""Doc\nstring."""\n\n# comment\n'
+    path.write_text(head + 'def f(x):  # a line\n    """Doc."""\n    return (\n        "text",\n        x,\n    )\n')
+    assert count_lines(path) == 5
+    path.with_suffix(".txt").write_text("# comment\n\ncommand\nkey=value\n")
+    assert count_lines(path.with_suffix(".txt")) == 2
+
+
+def test_processes_of_a_tree_are_found_with_what_they_use():
+    inner = "import time; sum(range(10**7)); time.sleep(60)"
+    code = f"import subprocess, sys; x = b'1' * 60_000_000; subprocess.run([sys.executable, '-c', {inner!r}])"
+    process = subprocess.Popen([sys.executable, "-c", code])
+    try:
+        for _ in range(300):
+            pids = processes.tree(process.pid)
+            if len(pids) == 2 and processes.cpu_seconds(pids) > 0.2 and processes.memory(pids) > 60:
+                break
+            time.sleep(0.1)
+        assert len(pids) == 2 and processes.cpu_seconds(pids) > 0.2
+        assert 60 < processes.memory(pids) < 200
+    finally:
+        for pid in processes.tree(process.pid):
+            subprocess.run(["kill", str(pid)], check=False)
+        process.wait()
