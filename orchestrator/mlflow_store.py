@@ -21,18 +21,28 @@ os.environ["MLFLOW_HTTP_REQUEST_MAX_RETRIES"] = "0"
 # at the end of a run MLflow prints its address, with the password in it
 os.environ["MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT"] = "true"
 
+# MLflow's pages of an experiment are those of model training, not of language models, only if this says so
+EXPERIMENT_TAGS = {
+    "mlflow.experimentKind": "custom_model_development",
+    "mlflow.note.content": "A run per sweep (open it with +), below it a run per row and seed.",
+}
+LONGEST = 6000  # characters of a parameter's value, MLflow's limit; config.yaml has all of it
 ID_TAG = "segue.id"  # finds a run again whose creation was not noted before a crash
 
 
 @dataclass(frozen=True)
 class RunSpec:
-    """A run in MLflow. folder: keeps its ids in tracking.json. tags, params: text by name. parent: the sweep's."""
+    """A run in MLflow. folder: keeps its ids in tracking.json. tags, params: text by name. parent: the sweep's.
+
+    system_metrics: sample the load of the machine while it runs.
+    """
 
     folder: Path
     name: str
     tags: dict
     params: dict
     parent: "RunSpec | None" = None
+    system_metrics: bool = False
 
 
 def address(config):
@@ -83,7 +93,7 @@ def ensure_experiment(client, uri, name):
         path = sqlite_path(uri)
         location = (path.parent / "mlartifacts" / name).as_uri() if path else None
         try:
-            return client.create_experiment(name, artifact_location=location)
+            return client.create_experiment(name, artifact_location=location, tags=EXPERIMENT_TAGS)
         except MlflowException:  # another process was faster
             found = client.get_experiment_by_name(name)
             if found is None:
@@ -158,7 +168,7 @@ def log_params(client, run_id, params):
     from mlflow.entities import Param
 
     data = client.get_run(run_id).data
-    params = {key: value[:6000] for key, value in params.items()}
+    params = {key: value if len(value) <= LONGEST else value[: LONGEST - 1] + "…" for key, value in params.items()}
     new = [Param(key, value) for key, value in params.items() if key not in data.params]
     for first in range(0, len(new), 100):
         client.log_batch(run_id, params=new[first : first + 100])

@@ -13,11 +13,14 @@ Why no step is lost or doubled, whatever dies when:
 
 import json
 import math
+from pathlib import Path
 
-from orchestrator import mlflow_store, spool
+from orchestrator import mlflow_store, model_registry, spool
 from orchestrator.folder import metrics_path
 
 BATCH = 1000  # values per call, MLflow's limit
+NOTE = "table.md"  # a sweep's table is also the text at the head of its page
+LONGEST_TAG = 8000  # characters, MLflow's limit
 
 
 class Shipper:
@@ -31,6 +34,7 @@ class Shipper:
         self._spec, self._offset, self._last_line, self.new = spec, 0, b"", 0
         client = mlflow_store.make_client(uri)
         experiment_id = mlflow_store.ensure_experiment(client, uri, experiment)
+        self._experiment = experiment, experiment_id
         self.run_id = mlflow_store.ensure_run(client, uri, experiment_id, spec)
         self._client = client
         mlflow_store.log_params(client, self.run_id, spec.params)
@@ -49,7 +53,7 @@ class Shipper:
         self._client.update_run(self.run_id, status="RUNNING")
 
     def ship(self):
-        """Send all whole lines of metrics.jsonl that MLflow does not have."""
+        """Send all whole lines of metrics.jsonl, and samples of the machine's load, that MLflow does not have."""
         path = metrics_path(self._spec.folder)
         while path.exists() and (batch := self._next_batch(path)):
             values, offset, last_line, steps = batch
@@ -59,6 +63,7 @@ class Shipper:
                 self.shipped = values[-1][3]
                 self.new += steps
             self._offset, self._last_line = offset, last_line
+        self._ship_samples()
 
     def close(self, final):
         """Log a `spool.Final`, unless MLflow has it."""
@@ -68,15 +73,45 @@ class Shipper:
         for first in range(0, len(values), BATCH):
             self._send(values[first : first + BATCH])
         for name in final.files:
-            file = self._spec.folder / name
-            if file.exists():
-                self._client.log_artifact(self.run_id, str(file))
+            self._log_file(name)
+            if Path(name).name == NOTE:
+                text = (self._spec.folder / name).read_text()
+                self._client.set_tag(self.run_id, "mlflow.note.content", text[:LONGEST_TAG])
+        if final.model:
+            model_registry.ship(self._client, *self._experiment, self.run_id, values, self.shipped, self._spec)
         self._client.set_terminated(self.run_id, final.status, final.milliseconds)
 
     def closed(self, final):
         """Whether all of a `spool.Final` is in MLflow."""
         info = self._client.get_run(self.run_id).info
         return (info.status, info.end_time) == (final.status, final.milliseconds)
+
+    def _log_file(self, name):
+        """Log a file or folder at the place that it has in the run's folder. What is not there any more is left out."""
+        path, place = self._spec.folder / name, Path(name)
+        if place.is_absolute():  # of another folder
+            place = Path(place.name)
+        if path.is_dir():
+            self._client.log_artifacts(self.run_id, str(path), place.as_posix())
+        elif path.exists():
+            self._client.log_artifact(self.run_id, str(path), place.parent.as_posix().lstrip(".") or None)
+
+    def _ship_samples(self):
+        path, offset = spool.system_path(self._spec.folder), spool.read_system(self._spec.folder, self.run_id)
+        data = path.read_bytes()[offset:] if path.exists() else b""
+        lines = data[: data.rfind(b"\n") + 1].splitlines(keepends=True)
+        values, sent = [], offset
+        for raw in lines:
+            line = json.loads(raw)
+            new = [(key, value, line["milliseconds"], line["step"]) for key, value in line["metrics"].items()]
+            if values and len(values) + len(new) > BATCH:
+                self._send(values)
+                spool.record_system(self._spec.folder, self.run_id, sent)
+                values = []
+            values, sent = values + new, sent + len(raw)
+        if values:
+            self._send(values)
+            spool.record_system(self._spec.folder, self.run_id, sent)
 
     def _send(self, values):
         from mlflow.entities import Metric

@@ -15,14 +15,15 @@ FOLDER = ".tracking"
 @dataclass(frozen=True)
 class Final:
     """How a run ended. status: FINISHED, FAILED or KILLED. metrics: logged at the last step. files: of the run's
-    folder, by their paths relative to it. milliseconds: since 1970; together with `status` it marks, as the end time
-    in MLflow, that all of it arrived.
+    folder, by their paths relative to it. model: whether its policy is to be a registered model. milliseconds: since
+    1970; together with `status` it marks, as the end time in MLflow, that all of it arrived.
     """
 
     status: str
     milliseconds: int
     metrics: dict = field(default_factory=dict)
     files: tuple = ()
+    model: bool = False
 
 
 def record_spec(spec, experiment, uri):
@@ -78,6 +79,22 @@ def read_batch(folder, run_id):
     """The batch last noted for a run, [] if there is none."""
     content = _read(folder, "batch.json")
     return content["values"] if content and content["run_id"] == run_id else []
+
+
+def system_path(folder):
+    """The samples of `orchestrator.system_metrics`: lines of JSON, which are only ever appended."""
+    return folder / FOLDER / "system.jsonl"
+
+
+def record_system(folder, run_id, offset):
+    """Note how many bytes of the samples a run of MLflow has. To send more of them again would change nothing."""
+    write_json(folder / FOLDER / "system.json", {"run_id": run_id, "offset": offset})
+
+
+def read_system(folder, run_id):
+    """How many bytes of the samples a run of MLflow has."""
+    content = _read(folder, "system.json")
+    return content["offset"] if content and content["run_id"] == run_id else 0
 
 
 def _read(folder, name):

@@ -1,4 +1,4 @@
-"""Train and evaluate the rows of a table, then print it beside the paper's.
+"""Train and evaluate the rows of a table, then print it beside the paper's and make a report.
 
 usage: python -m orchestrator.sweep SWEEP.yaml [key=value ...]
 
@@ -19,7 +19,7 @@ from dataclasses import replace
 from motion.errors import InputError
 from motion.state_machine import build_state_machine
 from orchestrator import folder as run_folder
-from orchestrator import mlflow_store, table
+from orchestrator import mlflow_store, report, table
 from orchestrator.console import catch_signals, run_command
 from orchestrator.plan import read_plan
 from orchestrator.progress import DONE, Progress, Row, samples
@@ -50,7 +50,14 @@ def main(arguments):
                 raise
         content = table.collect(plan.runs, failures)
         paths = table.write(plan.out, content)
-        if parent and not parent.finish("FAILED" if failures else "FINISHED", files=paths):
+        status = "FAILED" if failures else "FINISHED"
+        try:
+            paths += make_report(plan, again=parent is not None)
+        except KeyboardInterrupt:
+            if parent:
+                parent.finish(status, files=paths, timeout=3.0)
+            raise
+        if parent and not parent.finish(status, files=paths):
             print(f"MLflow lacks some of it; to ship that: python -m orchestrator.tracking sync {plan.out}")
     conclude(plan, content, paths)
     for name, why in failures.items():
@@ -157,6 +164,22 @@ def row_of(run, states):
     if states[run.name] == run_folder.FINISHED:
         return Row(run.name, total, run.config.samples_per_iteration, total, DONE)
     return Row(run.name, total, run.config.samples_per_iteration, run_folder.iterations_done(run.folder))
+
+
+def make_report(plan, again):
+    """Make report.html where it is wanted and not there, or to be made `again`; paths of it and its data, [] without.
+
+    Whatever goes wrong is one line: the runs are done and their results written.
+    """
+    config = plan.runs[0].config
+    if not config.report.enabled or not again and (plan.out / report.NAME).exists():
+        return []
+    try:
+        return report.make(plan.out, plan.runs, config, lambda line: print(f"report: {line}", flush=True))
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}".splitlines()[0][:300]
+        print(f"no report ({why}); to try again: python -m orchestrator.report {plan.out}", file=sys.stderr)
+        return []
 
 
 def conclude(plan, content, paths):

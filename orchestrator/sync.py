@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from motion.errors import InputError
@@ -15,6 +16,7 @@ from orchestrator.spool import Final
 from orchestrator.tracking import final_of, one_line
 
 KEY = "tracking.uri="
+OF_A_SWEEP = ("table.*", "baselines.*", "report.html", "figures")  # what its folder holds besides its runs
 
 
 def sync_command(arguments):
@@ -82,12 +84,13 @@ def end_of(folder):
         from orchestrator.trial import logged_at_end
 
         evaluation = json.loads(run_folder.evaluation_path(folder).read_text())
-        metrics, files = logged_at_end(folder, load(run_folder.config_path(folder)), evaluation)
-        return _at(run_folder.evaluation_path(folder), final_of(folder, "FINISHED", metrics, files))
+        ending = logged_at_end(folder, load(run_folder.config_path(folder)), evaluation)
+        return _at(run_folder.evaluation_path(folder), final_of(folder, "FINISHED", *ending))
     if table.exists() and table.stat().st_mtime >= started.stat().st_mtime:
         runs = [run for row in json.loads(table.read_text())["rows"] for run in row["runs"]]
         status = "FINISHED" if all(run["status"] == "finished" for run in runs) else "FAILED"
-        return _at(table, final_of(folder, status, {}, sorted(folder.glob("table.*"))))
+        files = [path for pattern in OF_A_SWEEP for path in sorted(folder.glob(pattern))]
+        return _at(table, final_of(folder, status, {}, files))
     if error.exists() and error.stat().st_mtime >= started.stat().st_mtime:
         return _at(error, Final("FAILED", 0))
     metrics = run_folder.metrics_path(folder)
@@ -96,4 +99,4 @@ def end_of(folder):
 
 def _at(path, final):
     """The `Final` at the time of a file."""
-    return Final(final.status, path.stat().st_mtime_ns // 1_000_000, final.metrics, final.files)
+    return replace(final, milliseconds=path.stat().st_mtime_ns // 1_000_000)

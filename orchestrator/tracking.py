@@ -29,11 +29,14 @@ from orchestrator.plan import run_name
 from orchestrator.redaction import redact, without_password
 from orchestrator.settings import flatten
 from orchestrator.shipping import Shipper
+from orchestrator.system_metrics import Sampler
 from orchestrator.validate import shown
 
 INTERVAL = 2.0  # seconds between batches
 RETRY = 15.0  # seconds between attempts while the server is away
 RETRY_CLOSING = 1.0  # the same once the run has ended
+UNANSWERED = 5.0  # seconds that a run's end waits for MLflow if it did not answer before
+TROUBLED = 60.0  # the same if it stops answering then; longer only while it takes what it is given
 
 
 class Tracker:
@@ -46,6 +49,7 @@ class Tracker:
     def __init__(self, uri, experiment, spec, warn=lambda line: None):
         self._uri, self._experiment, self._spec, self._warn = uri, experiment, spec, warn
         self._shipper = self._error = None
+        self._sampler = Sampler(spec.folder) if spec.system_metrics else None
         self._final = None  # `spool.Final` once the run has ended
         self._lines, self._ended = threading.Event(), threading.Event()
         self._ready, self._done = threading.Event(), threading.Event()
@@ -63,18 +67,24 @@ class Tracker:
             return f"no answer within {timeout:g} s"
         return self._error
 
-    def finish(self, status, metrics=None, files=(), timeout=30.0):
+    def finish(self, status, metrics=None, files=(), model=False, timeout=240.0):
         """Ship the rest, log final metrics and files (paths), set the run's status (FINISHED, FAILED, KILLED).
 
-        Waits at most `timeout` seconds, less if MLflow has not answered before. True if all arrived; else the run's
-        folder keeps the rest for `sync`.
+        model: register the policy of the newest checkpoint, too. Waits at most `timeout` seconds, less if MLflow has
+        not answered before. True if all arrived; else the run's folder keeps the rest for `sync`.
         """
-        self._final = final_of(self._spec.folder, status, metrics or {}, files)
+        final = final_of(self._spec.folder, status, metrics or {}, files, model)
+        if self._sampler:
+            self._sampler.stop()
         with contextlib.suppress(OSError):  # a full disk must not hide what it has caused; `sync` does without
-            spool.record_final(self._spec.folder, self._final)
+            spool.record_final(self._spec.folder, final)
+        self._final = final
         self._lines.set()
         self._ended.set()
-        self._done.wait(min(timeout, 5.0) if self._error else timeout)
+        began, limit = time.monotonic(), min(timeout, UNANSWERED) if self._error else timeout
+        while not self._done.wait(0.1) and time.monotonic() - began < limit:
+            if self._error:
+                limit = min(limit, TROUBLED)
         self._done.set()  # whoever ships next shall be the only one
         return self._arrived
 
@@ -125,10 +135,10 @@ def one_line(error, uri):
     return lines[0][:200] if lines else type(error).__name__
 
 
-def final_of(folder, status, metrics, files):
+def final_of(folder, status, metrics, files, model=False):
     """`spool.Final` of a run that ends now."""
     names = [Path(file).relative_to(folder) if Path(file).is_relative_to(folder) else file for file in files]
-    return spool.Final(status, int(time.time() * 1000), metrics, tuple(map(str, names)))
+    return spool.Final(status, int(time.time() * 1000), metrics, tuple(map(str, names)), model)
 
 
 class NoTracker:
@@ -144,10 +154,10 @@ class NoTracker:
     def wait_ready(self, timeout):
         """Always ready."""
 
-    def finish(self, status, metrics=None, files=(), timeout=0.0):
+    def finish(self, status, metrics=None, files=(), model=False, timeout=0.0):
         """Nothing to log."""
         with contextlib.suppress(OSError):
-            spool.record_final(self._folder, final_of(self._folder, status, metrics or {}, files))
+            spool.record_final(self._folder, final_of(self._folder, status, metrics or {}, files, model))
         return True
 
 
@@ -171,17 +181,26 @@ def run_spec(config, folder, parent=None):
         del values[own]
     params = {re.sub(r"[^\w\-. /:]", "_", key): shown(value) for key, value in flatten(values)}
     tags = {"row": config.row, "seed": str(config.seed), "scale": config.scale, "motions": config.motions.name}
-    return RunSpec(Path(folder), run_name(config.row, config.seed), {**tags, **commit_tag()}, params, parent)
+    name, tags = run_name(config.row, config.seed), {**tags, **commit_tag()}
+    return RunSpec(Path(folder), name, tags, params, parent, config.tracking.system_metrics)
 
 
 def commit_tag():
-    """{"git_commit": ...} of the code's repository, {} where there is none."""
+    """Tags of the code's repository, {} where there is none: `git_commit`, `git_dirty` (whether files differ from it).
+
+    Under MLflow's own names, too, by which its pages show the commit as the run's source.
+    """
+    git = ["git", "-C", str(Path(__file__).parent)]
     try:
-        command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
-        result = subprocess.run(command, capture_output=True, text=True, timeout=5)
+        commit = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, timeout=5)
+        if commit.returncode != 0:
+            return {}
+        clean = subprocess.run([*git, "diff", "--quiet", "HEAD"], capture_output=True, timeout=5).returncode == 0
     except (OSError, subprocess.TimeoutExpired):
         return {}
-    return {"git_commit": result.stdout.strip()} if result.returncode == 0 else {}
+    sha = commit.stdout.strip()
+    source = {"mlflow.source.type": "LOCAL", "mlflow.source.name": "segue", "mlflow.source.git.commit": sha}
+    return {"git_commit": sha, "git_dirty": str(not clean).lower(), **source}
 
 
 def main(arguments):

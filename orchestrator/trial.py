@@ -15,6 +15,13 @@ from orchestrator.run import Stopped, train
 from orchestrator.settings import load
 from orchestrator.tracking import run_spec
 
+FILES = ("config.yaml", "evaluation.json", "failures.csv", "baselines.json", "baselines.md")
+EVALUATED = {
+    "eval": "metrics",
+    "trained": "trained",
+    "eval_deterministic": "deterministic",
+    "trained_deterministic": "trained_deterministic",
+}
 STALE_LOCK = 60.0  # seconds that a killed sweep's processes may take to let go of a run's folder
 
 
@@ -46,17 +53,21 @@ def execute(config, folder, tracking, report, warn=lambda line: None, notice=Non
 
 
 def logged_at_end(folder, config, evaluation):
-    """(metrics, files) that a finished run adds to what its iterations logged."""
-    files = [run_folder.config_path(folder), run_folder.evaluation_path(folder)]
+    """(metrics, files, whether to register its policy) that a finished run adds to what its iterations logged."""
+    files = [folder / name for name in FILES if (folder / name).exists()]
     if config.checkpoint.storage is None:  # what lies in a storage of its own is not copied to another
         files += checkpoint.paths(folder / "checkpoints")[-1:]
-    return evaluation_metrics(evaluation), files
+    return evaluation_metrics(evaluation), files, config.tracking.register_model
 
 
 def evaluation_metrics(evaluation):
-    """The table's columns by their names in MLflow: eval/... at the final accuracy, trained/... as far as trained."""
-    names = {"eval": "metrics", "trained": "trained"}
-    return {f"{prefix}/{key}": value for prefix, part in names.items() for key, value in evaluation[part].items()}
+    """The table's columns by their names in MLflow, as far as the evaluation has them.
+
+    eval/...: at the final accuracy; trained/...: at the thresholds to which training came; both with the noise of the
+    evaluation. The same without noise: eval_deterministic/..., trained_deterministic/...
+    """
+    found = {name: evaluation.get(part, {}) for name, part in EVALUATED.items()}
+    return {f"{name}/{key}": value for name, values in found.items() for key, value in values.items()}
 
 
 def reason(error):

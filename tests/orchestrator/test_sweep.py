@@ -8,10 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from orchestrator import mlflow_store
+from orchestrator.model_registry import policy_of
 from orchestrator.table import COLUMNS
+from workers.inference import PolicyNetwork
 
 PROJECT = Path(__file__).resolve().parents[2]
 ROWS = ("ours", "no_sbc", "no_urp", "no_tr")
@@ -159,16 +162,51 @@ def test_mlflow_has_four_children_under_one_parent(sweep):
     runs = {run.info.run_name: run for run in client.search_runs([experiment.experiment_id])}
     assert set(runs) == {"ablation", *(f"{row}-seed0" for row in ROWS)}
     parent = runs.pop("ablation")
-    assert {file.path for file in client.list_artifacts(parent.info.run_id)} == {"table.md", "table.csv", "table.json"}
+    files = {file.path for file in client.list_artifacts(parent.info.run_id)}
+    assert files >= {f"table.{suffix}" for suffix in ("md", "csv", "tex", "html", "json")}
+    assert parent.data.tags["mlflow.note.content"].startswith("| Method ")
     for run in runs.values():
         assert run.data.tags["mlflow.parentRunId"] == parent.info.run_id
         assert run.info.status == "FINISHED"
-        assert run.data.params["num_envs"] == "8"
+        assert run.data.params["num_envs"] == "8" and run.data.params["budget.iterations"] == "4"
+        assert (run.data.tags["row"], run.data.tags["seed"]) == tuple(run.info.run_name.split("-seed"))
+        assert run.data.tags["scale"] == "smoke"
         assert [m.step for m in client.get_metric_history(run.info.run_id, "iteration")] == [1, 2, 3, 4]
         assert not [name for name in NAMED if name not in run.data.metrics]
         assert "eval/FRPD" in run.data.metrics and "trained/TTAR" in run.data.metrics
+        assert "system/cpu_utilization_percentage" in run.data.metrics
         files = {file.path for file in client.list_artifacts(run.info.run_id)}
-        assert {"config.yaml", "evaluation.json"} < files and any(file.endswith(".pt") for file in files)
+        assert {"config.yaml", "evaluation.json", "checkpoints"} <= files
+
+
+LOAD = """
+import mlflow, numpy as np, sys, torch
+mlflow.set_tracking_uri(sys.argv[1])
+policy = mlflow.pytorch.load_model("models:/ablation-no_tr@seed0")
+np.save(sys.argv[3], policy(torch.from_numpy(np.load(sys.argv[2]))).detach().numpy())
+assert not {"learner", "workers", "orchestrator", "motion"} & set(sys.modules)
+"""
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.slow
+def test_a_model_per_run_that_computes_the_same_where_segue_is_not_installed(sweep, tmp_path):
+    """By a process whose path holds nothing of this project; the killed and continued runs have one version each."""
+    uri = f"sqlite:///{sweep['folder']}/mlflow.db"
+    client = mlflow_store.make_client(uri)
+    for row in ROWS:
+        (version,) = client.search_model_versions(f"name = 'ablation-{row}'")
+        assert client.get_run(version.run_id).info.run_name == f"{row}-seed0"
+    policy = policy_of(sweep["out"] / "no_tr-seed0")
+    observation = np.random.default_rng(0).normal(size=(3, 282)).astype(np.float32)
+    np.save(tmp_path / "observation.npy", observation)
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "MLFLOW_TRACKING_URI")}
+    files = (tmp_path / "observation.npy", tmp_path / "action.npy")
+    command = [sys.executable, "-P", "-c", LOAD, uri, *map(str, files)]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stderr
+    action = np.load(tmp_path / "action.npy")
+    np.testing.assert_allclose(action, PolicyNetwork(policy, 3).mean(observation), rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.timeout(900)

@@ -5,14 +5,16 @@ import json
 import sqlite3
 import threading
 import time
+from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 
 from orchestrator import mlflow_store
 from orchestrator.folder import prepare
 from orchestrator.mlflow_store import RunSpec
-from orchestrator.settings import build, command_line
-from orchestrator.tracking import Tracker, run_spec
+from orchestrator.settings import build, command_line, flatten
+from orchestrator.tracking import Tracker, commit_tag, run_spec
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +54,12 @@ def test_a_child_run_under_its_parent_with_metrics_and_files(tmp_path, uri):
     write_lines(spec.folder, 1, 5)
     tracker.wake()
     (spec.folder / "config.yaml").write_text("a: 1\n")
-    assert tracker.finish("FINISHED", {"eval/FRPD": 0.5, "eval/IRFA": None}, [spec.folder / "config.yaml"])
-    assert top.finish("FAILED")
+    (spec.folder / "figures").mkdir()
+    (spec.folder / "figures" / "a.svg").touch()
+    files = [spec.folder / name for name in ("config.yaml", "figures/a.svg", "gone.txt")]
+    assert tracker.finish("FINISHED", {"eval/FRPD": 0.5, "eval/IRFA": None}, files)
+    (parent.folder / "table.md").write_text("| Method |")
+    assert top.finish("FAILED", files=[parent.folder / "table.md"])
     client, runs = runs_of(uri, "tree")
     child = runs["ours-seed0"]
     assert child.data.tags["mlflow.parentRunId"] == runs["sweep"].info.run_id
@@ -62,7 +68,9 @@ def test_a_child_run_under_its_parent_with_metrics_and_files(tmp_path, uri):
     assert steps_of(client, child) == [1, 2, 3, 4, 5]
     assert steps_of(client, child, "return/mean") == [1, 3, 4, 5]  # null is no value
     assert child.data.metrics["eval/FRPD"] == 0.5 and "eval/IRFA" not in child.data.metrics
-    assert [file.path for file in client.list_artifacts(child.info.run_id)] == ["config.yaml"]
+    assert [file.path for file in client.list_artifacts(child.info.run_id)] == ["config.yaml", "figures"]
+    assert [file.path for file in client.list_artifacts(child.info.run_id, "figures")] == ["figures/a.svg"]
+    assert runs["sweep"].data.tags["mlflow.note.content"] == "| Method |"
 
 
 def test_a_continued_run_has_every_step_once(tmp_path, uri):
@@ -187,3 +195,20 @@ def test_parameters_are_the_resolved_configuration(tmp_path):
     spec = run_spec(config, tmp_path)
     assert spec.params["num_envs"] == "8" and spec.params["motions.clips.idle.file"] == "builtin:idle"
     assert spec.tags["seed"] == "3" and spec.tags["scale"] == "smoke" and spec.name == "ours-seed3"
+    leaves = {key for key, _ in flatten(asdict(config))}
+    assert leaves - set(spec.params) == {key for key in leaves if key == "out" or key.startswith("tracking.")}
+    assert spec.system_metrics
+
+
+def test_a_long_parameter_is_cut_and_a_file_keeps_the_whole(tmp_path, uri):
+    Tracker(uri, "long", spec_of(tmp_path / "run", **{"motions.clips": "x" * 7000})).finish("FINISHED")
+    (value,) = runs_of(uri, "long")[1]["ours-seed0"].data.params.values()
+    assert value == "x" * 5999 + "…"
+
+
+def test_the_commit_is_known_to_mlflow_under_its_own_name():
+    if not (Path(__file__).parents[2] / ".git").exists():
+        pytest.skip("not a checkout")
+    tags = commit_tag()
+    assert tags["mlflow.source.git.commit"] == tags["git_commit"] and len(tags["git_commit"]) == 40
+    assert tags["git_dirty"] in ("true", "false")

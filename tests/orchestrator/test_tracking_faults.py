@@ -407,6 +407,9 @@ def test_a_run_with_a_password_in_the_address_keeps_it_nowhere(server, tmp_path)
         assert len(proxy.seen) > 5 and all(h["Authorization"].startswith("Basic ") for _, h in proxy.seen)
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert out / ".tracking/run.json" in files
+    client, run = the_run(server, "train")
+    (version,) = client.search_model_versions("name = 'train-ours'")
+    assert (run.info.status, version.run_id) == ("FINISHED", run.info.run_id)
     kept = json.dumps(everything(server, "train"))
     assert '"num_envs": "8"' in kept
     for word in (secret, token):

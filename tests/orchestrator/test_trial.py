@@ -70,7 +70,11 @@ def test_reports_are_rare_but_the_first_and_last_are_not_lost(monkeypatch):
 
 def test_final_metrics_have_stable_names():
     content = {"metrics": {"FRPD": 1.0, "MS": None}, "trained": {"FRPD": 2.0}}
-    assert trial.evaluation_metrics(content) == {"eval/FRPD": 1.0, "eval/MS": None, "trained/FRPD": 2.0}
+    old = {"eval/FRPD": 1.0, "eval/MS": None, "trained/FRPD": 2.0}
+    assert trial.evaluation_metrics(content) == old
+    quiet = {"deterministic": {"TTAR": 0.5}, "trained_deterministic": {"TTAR": 0.75}, "by_moment": []}
+    new = {"eval_deterministic/TTAR": 0.5, "trained_deterministic/TTAR": 0.75}
+    assert trial.evaluation_metrics({**content, **quiet}) == {**old, **new}
 
 
 def test_the_reason_is_the_cause_and_not_rays_wrapping():
