@@ -58,15 +58,15 @@ def load_file(path):
 
 
 def _objects(content):
-    curriculum = {**_arrays(content["curriculum"]), "window": tuple(map(tuple, content["curriculum"]["window"]))}
+    curriculum = {**arrays(content["curriculum"]), "window": tuple(map(tuple, content["curriculum"]["window"]))}
     return {
         "iteration": content["iteration"],
         "config": content.get("config", {}),
         "clips": content.get("clips"),
         "parts": (content["learner"], CurriculumState(**curriculum)),
-        "workers": [WorkerState(**_arrays(item)) for item in content["workers"]],
-        "policies": [Policy(**_arrays(item)) for item in content["policies"]],
-        "thresholds": [Thresholds(**_arrays(item)) for item in content["thresholds"]],
+        "workers": [WorkerState(**arrays(item)) for item in content["workers"]],
+        "policies": [Policy(**arrays(item)) for item in content["policies"]],
+        "thresholds": [Thresholds(**arrays(item)) for item in content["thresholds"]],
     }
 
 
@@ -100,7 +100,7 @@ def _numbers_of(config):
     return {key: value for key, value in flatten(asdict(config)) if not key.startswith(other)}
 
 
-def _arrays(item):
+def arrays(item):
     """Tensors of a checkpoint as numpy arrays, lists of them as tuples."""
     out = {}
     for name, value in item.items():

@@ -6,14 +6,15 @@ something else. Here its policies, one per iteration, act once more, in environm
 tasks, independent noise of the training's size.
 """
 
-import pickle
 from dataclasses import replace
 
 from benchmarks.peers.task import first_thresholds
+from learner import checkpoint
 from motion.state_machine import build_state_machine
+from orchestrator.saved import arrays
 from workers.library import build_library
 from workers.rollout import Rollout
-from workers.types import REACHED
+from workers.types import REACHED, Policy
 
 SEED = 10_007  # added to the run's: other tasks and noise than those of the training
 
@@ -26,8 +27,7 @@ def explores_otherwise(config):
 
 def save(folder, iteration, policy):
     """Keep the `Policy` that collected the chunk of an iteration, counted from 1."""
-    folder.mkdir(exist_ok=True)
-    (folder / f"{iteration:07d}.pkl").write_bytes(pickle.dumps(policy))
+    checkpoint.save(folder, iteration, vars(policy), keep=iteration)
 
 
 def achievement(config, folder, last, window, averaged=False):
@@ -45,7 +45,7 @@ def achievement(config, folder, last, window, averaged=False):
     before = -(-config.task.max_steps // config.horizon)
     reached = ended = 0
     for i, number in enumerate([numbers[0]] * before + numbers):
-        policy = pickle.loads((folder / f"{number:07d}.pkl").read_bytes())
+        policy = Policy(**arrays(checkpoint.load(folder / f"{number:08d}.pt")))
         policy = policy.averaged() if averaged else policy
         policy = replace(policy, noise_window=1, judges=0, average_weights=(), average_biases=())
         chunk, state = rollout.collect(state, policy, limits)
