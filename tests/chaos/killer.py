@@ -34,6 +34,7 @@ ON_THEIR_WAY = 2  # lines that may come although somebody is dead
 OPTIONS = [
     "scale=smoke", f"budget.iterations={ITERATIONS}", "num_workers=1", "checkpoint.every=7", "task.max_steps=8",
     "curriculum.start=[1.0,8.0,2.0]", "curriculum.achievement=0.2", "faults.hang_timeout=60",
+    "tracking.register_model=false",
 ]  # fmt: skip
 
 

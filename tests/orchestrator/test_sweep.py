@@ -228,6 +228,7 @@ def test_a_failing_row_does_not_stop_the_others(tmp_path):
     broken.mkdir(parents=True)
     (broken / "00000001.pt").write_text("not a checkpoint")
     arguments = ["sweeps/ablation.yaml", "scale=smoke", "out=out", "rows=[ours,no_tr]", "runtime=local"]
+    arguments += ["report.enabled=false", "tracking.register_model=false"]
     status, output = run("sweep", tmp_path, *arguments, "tracking.uri=http://127.0.0.1:9")
     assert status == 1
     assert "does not answer; training goes on" in output
@@ -240,6 +241,7 @@ def test_a_failing_row_does_not_stop_the_others(tmp_path):
 @pytest.mark.slow
 def test_a_stopped_run_says_how_to_continue_and_does(tmp_path):
     arguments = ["scale=smoke", "runtime=local", "out=run", "budget.iterations=300", "checkpoint.every=20"]
+    arguments += ["tracking.register_model=false"]
     process = start("train", tmp_path, *arguments)
     wait_for(lambda: lines_of(tmp_path / "run") >= 50, process)
     process.send_signal(signal.SIGTERM)
