@@ -8,7 +8,7 @@ which is kinder to this strategy than the paper's text asks for.
 import numpy as np
 from numba import njit
 
-from motion.onehop.distances import exact_on_grid
+from motion.onehop.pricing import price_of
 from motion.onehop.types import START
 
 
@@ -34,6 +34,7 @@ def _optimum(geometry, weight, max_stay, hop_cost, source, t, rows):
     hops = np.sum(geometry.counts[0])
     # D(source, hop) of every window of every clip, by s_s; negative: not computed yet
     first = np.full((max_stay + 1, hops), -1.0)
+    work = np.empty(len(geometry.weights))
     best, computed = np.inf, 0
     for r in range(2 * max_stay + 1):
         if weight * r > best:
@@ -54,18 +55,14 @@ def _optimum(geometry, weight, max_stay, hop_cost, source, t, rows):
                         x %= geometry.period[hop]
                     if x < geometry.counts[0, hop]:
                         if first[stay, n] < 0:
-                            first[stay, n] = _d(geometry, geometry.frame0[source] + a, geometry.frame0[hop] + u)
+                            first[stay, n] = price_of(
+                                geometry, 0, geometry.frame0[source] + a, geometry.frame0[hop] + u, work
+                            )
                             computed += 1
                         cost = weight * r + first[stay, n] + hop_cost[hop]
                         if cost < best:
-                            cost += _d(geometry, geometry.frame0[hop] + x, rows[r])
+                            cost += price_of(geometry, 0, geometry.frame0[hop] + x, rows[r], work)
                             computed += 1
                             best = min(best, cost)
                     n += 1
     return best, computed
-
-
-@njit(cache=True, nogil=True)
-def _d(geometry, a, c):
-    weights = geometry.weights[geometry.weight0[0] : geometry.weight0[1]]
-    return exact_on_grid(geometry.x, geometry.y, geometry.z, weights, geometry.points, a, c, geometry.scale[0])

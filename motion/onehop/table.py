@@ -46,10 +46,17 @@ class LookupTable:
             row += self.clips.period(source)
         object.__setattr__(self, "first", first)
         base, number = _window_numbers(self.clips)
-        object.__setattr__(self, "_base", base)
-        object.__setattr__(self, "_starts", base.tolist())
-        object.__setattr__(self, "_none", number)
-        object.__setattr__(self, "_bits", _bits(number, self.config))
+        clips = range(len(self.clips))
+        lookup = {
+            "_base": base, "_starts": base.tolist(), "_none": number, "_bits": _bits(number, self.config),
+            # what a query needs at hand
+            "_bytes": memoryview(np.ascontiguousarray(self.entries).reshape(-1)), "_width": self.entries.shape[1],
+            "_index": {key: i for i in clips for key in (i, self.clips.names[i])},
+            "_periods": [self.clips.period(i) for i in clips], "_looping": [self.clips.looping(i) for i in clips],
+            "_cost": None if self.result is None else self.result.cost, "_lengths": self.config.lengths,
+        }  # fmt: skip
+        for key, value in lookup.items():
+            object.__setattr__(self, key, value)
 
     @property
     def triggers(self):
@@ -88,21 +95,25 @@ class LookupTable:
 
         Raises InputError for a pair that the table does not hold, IndexError for a frame outside the source.
         """
-        source, destination = self.clips.index(source), self.clips.index(destination)
-        if (source, destination) not in self.first:
+        try:
+            source, destination = self._index[source], self._index[destination]
+        except KeyError:
+            source, destination = self.clips.index(source), self.clips.index(destination)
+        first = self.first.get((source, destination))
+        if first is None:
             names = self.clips.names
             raise InputError(f"the table has no transition {names[source]} -> {names[destination]}; build it with one")
-        at = self.clips.wrap(source, frame)
-        if not 0 <= at < self.clips.period(source):
-            name = self.clips.names[source]
-            raise IndexError(f"{name}: trigger frame {frame} lies outside 0..{self.clips.period(source) - 1}")
-        row = self.first[source, destination] + at
-        value = int.from_bytes(self.entries[row].tobytes(), "little")
+        frame, period = int(frame), self._periods[source]
+        at = frame % period if self._looping[source] else frame
+        if not 0 <= at < period:
+            raise IndexError(f"{self.clips.names[source]}: trigger frame {frame} lies outside 0..{period - 1}")
+        start = (first + at) * self._width
+        value = int.from_bytes(self._bytes[start : start + self._width], "little")
         fields = []
         for width in self._bits:
             fields.append(value & ((1 << width) - 1))
             value >>= width
-        cost = None if self.result is None else float(self.result.cost[row])
+        cost = None if self._cost is None else float(self._cost[first + at])
         return self._transition(source, destination, frame, at, fields, cost)
 
     def _transition(self, source, destination, frame, at, fields, cost):
@@ -116,10 +127,10 @@ class LookupTable:
         if two and fields[3] != self._none:
             second, v = self._window(fields[3])
             stay_second = fields[4]
-        choice = [config.lengths[k] for k in fields[3 + 2 * two :]] or [config.blend] * (config.hops + 1)
-        if len(config.lengths) == 1:
-            choice = [config.lengths[0]] * (config.hops + 1)
-        lengths = tuple(choice) if second >= 0 or not two else (choice[0], choice[2])
+        numbers = fields[3 + 2 * two :] or (0,) * (config.hops + 1)
+        lengths = tuple([self._lengths[k] for k in numbers])
+        if two and second < 0:
+            lengths = lengths[0], lengths[2]
         time = stay_source + lengths[0] + stay_hop
         return Transition(
             True, source, destination, frame, hop, frame + stay_source - u, stay_source, stay_hop, offset, lengths,

@@ -11,12 +11,13 @@ in a second pass over the distances; and the choice is among exact costs.
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 
-from motion.onehop import kernels
-from motion.onehop.distances import BIG, FEASIBLE, MEMORY, SHRINK, pool
-from motion.onehop.features import BLOCK, ROWS
-from motion.onehop.kernels import CHOICE, CHUNK, COLUMN, MEMO, R, above, any_below, finish, least, priced
+from motion.onehop.distances import BIG, FEASIBLE, MEMORY, SHRINK
+from motion.onehop.features import BLOCK
+from motion.onehop.kernels import CHOICE
+from motion.onehop.minplus import lanes_of
+from motion.onehop.searcher import CostToGo
+from motion.onehop.twohop_kernels import candidates, choose, exact_entries, product
 from motion.onehop.types import FIXED
 
 
@@ -35,9 +36,9 @@ def add_second_hops(searcher, pairs, place, result, progress=None):
             destination = destinations.pop(0)
             goal, frames = searcher.goal(destination)
             if len(goal.e) and frames:
-                limit = _limit(searcher, pairs, place, result, destination)
-                plans[destination] = plan = _Plan(searcher, goal, frames, limit)
-                size += plan.k.nbytes + 2 * plan.q.nbytes
+                limits = _limits(searcher, pairs, place, result, destination)
+                plans[destination] = plan = _Plan(searcher, goal, frames, limits)
+                size += plan.k.nbytes + plan.lanes.values.nbytes + 2 * plan.q.nbytes
         _improve(searcher, plans, pairs, place, result, out)
         done += sum(destination in plans for _, destination in pairs)
         if progress:
@@ -55,7 +56,7 @@ def _improve(searcher, plans, pairs, place, result, out):
         mine = [destination for destination in plans if (source, destination) in pairs]
         if not mine:
             continue
-        d, d_pooled, _ = searcher.source_slab(0, source)
+        d, d_pooled = searcher.source_slab(0, source)
         for destination in mine:
             at, offset = place[source, destination], pairs[source, destination]
             part = slice(at, at + searcher.clips.period(source))
@@ -64,31 +65,53 @@ def _improve(searcher, plans, pairs, place, result, out):
                 (source, plan, offset, part, plan.candidates(source, offset, d, d_pooled, result.one_hop[part]))
             )
     _make_exact(searcher, plans)
-    for source, plan, offset, part, candidates in found:
-        plan.choose(source, offset, candidates, out, part)
+    for source, plan, offset, part, ways in found:
+        plan.choose(source, offset, ways, out, part)
 
 
-def _limit(searcher, pairs, place, result, destination):
-    """Largest one-hop cost into this destination: whatever exceeds it helps no trigger."""
-    limit = 0.0
+def _limits(searcher, pairs, place, result, destination):
+    """(columns,) what the way on from leaving the first hop at a window may cost, R included, to help any trigger.
+
+    It is the best one-hop cost of a trigger less the distance between source and first hop: the largest over all
+    triggers, frames of the source and stays that lead to this window. By blocks of columns, which is near enough.
+    """
+    layout, stay, b = searcher.layout, searcher.config.max_stay, searcher.config.lengths[0]
+    reach = np.full(layout.blocks, -1.0, np.float32)
     for source, other in pairs:
-        if other == destination:
-            count = searcher.clips.period(source)
-            if not searcher.clips.looping(source):
-                count = int(searcher.windows[0].counts[source])
-            at = place[source, destination]
-            limit = max(limit, result.one_hop[at : at + count].max(initial=0.0))
-    return min(limit, FEASIBLE)
+        if other != destination or not searcher.windows[0].counts[source]:
+            continue
+        period, windows = searcher.clips.period(source), int(searcher.windows[0].counts[source])
+        at = place[source, destination]
+        cost = np.minimum(result.one_hop[at : at + period], FEASIBLE)
+        # the largest cost of the triggers that may leave the source in a frame
+        before = np.arange(windows)[:, None] - np.arange(stay + 1)
+        before = before % period if searcher.clips.looping(source) else np.maximum(before, 0)
+        largest = cost[before].max(axis=1)
+        largest = np.nextafter(largest.astype(np.float32), np.float32(np.inf))
+        for a, row in enumerate(searcher.pooled_distances(source)):
+            np.maximum(reach, largest[a] - row, out=reach)
+    columns = np.repeat(reach, BLOCK)
+    limits = np.full(layout.columns, -1.0)
+    for i, first in enumerate(layout.first):
+        count = int(layout.windows[i])
+        part = limits[first : first + count]
+        for s in range(stay + 1):
+            u = np.arange(count) - b - s
+            if searcher.clips.looping(i):
+                np.maximum(part, columns[first + u % searcher.clips.period(i)], out=part)
+            else:
+                np.maximum(part[b + s :], columns[first : first + max(count - b - s, 0)], out=part[b + s :])
+    return limits
 
 
 class _Plan:
     """What belongs to one destination. q, column: (rows, columns) of Q and of the second hop that attains it."""
 
-    def __init__(self, searcher, goal, frames, limit):
+    def __init__(self, searcher, goal, frames, limits):
         self.searcher, self.goal = searcher, goal
         config, clips = searcher.config, searcher.clips
         b, stay = config.lengths[0], config.max_stay
-        self.k, self.k_pooled = searcher.cost_to_go(goal, frames, 0)
+        self.k, self.k_pooled, _ = searcher.cost_to_go(goal, frames, 0)
         loop, period = clips.looping(goal.clip), clips.period(goal.clip)
         # q row 0 is row k0 of K; rows[k + s_h]: row of q, for row k of H
         if config.regime == FIXED:
@@ -103,7 +126,9 @@ class _Plan:
             # the frame k of the destination says how long the stays were so far
             charge = np.arange(count) * goal.weight
         self.rows = np.where((rows >= 0) & (rows < count), rows, -1)
-        self.limits = ((limit - charge) * (1 + 2.0**-20) + 1e-9).astype(np.float32)
+        self.charge = (charge * SHRINK).astype(np.float32)
+        self.limits = (limits * (1 + 2.0**-20) + 1e-9).astype(np.float32)
+        self.lanes = lanes_of(self.k[self.k0 : self.k0 + count])
         self.q = np.full((count, searcher.layout.columns), BIG, np.float32)
         self.column = np.full(self.q.shape, -1, np.int32)
         self.needed = np.zeros(self.q.shape, np.uint8)
@@ -124,57 +149,40 @@ class _Plan:
         return np.where((k >= 0) & (k < self.h_frames), k, -1)
 
     def cost_to_go(self):
-        """(H, its pooled minima), lower bounds of the cost-to-go of entering the first hop."""
+        """CostToGo of H, lower bounds of the cost-to-go of entering the first hop."""
         if self.h is not None:
             return self.h
-        searcher, layout, config = self.searcher, self.searcher.layout, self.searcher.config
-        stay, weight = config.max_stay, np.float32(searcher.weight * SHRINK)
-        h = np.empty((self.h_frames, layout.columns), np.float32)
-        h_pooled = np.empty((self.h_frames, layout.blocks), np.float32)
-
-        def clip_part(i):
-            count = int(layout.windows[i])
-            if not count:
-                return
-            part = np.empty((self.h_frames, count), np.float32)
-            work = np.empty((self.h_frames + stay, count + stay), np.float32)
-            kernels.slide(
-                self.q, self.rows, layout.first[i], count, searcher.clips.period(i), searcher.clips.looping(i),
-                config.lengths[0], weight, stay, np.float32(self.goal.hop_cost[i] * SHRINK), work, part,
-            )  # fmt: skip
-            h[:, layout.first[i] : layout.first[i] + count] = part
-
-        searcher.run(clip_part, [(i,) for i in range(len(searcher.clips))])
-        pool(h, searcher.windows[0].pads, h_pooled)
-        self.h = h, h_pooled
+        searcher, config = self.searcher, self.searcher.config
+        h, pooled = searcher.slide(self.q, self.rows, config.lengths[0], self.goal.hop_cost, self.h_frames)
+        self.h = CostToGo(h, pooled, lanes_of(h[:0] if config.regime == FIXED else h))
         return self.h
 
     def candidates(self, source, offset, d, d_pooled, cost):
         """(n, 4) trigger, s_s, column of the first hop, s_h, of all that may be optimal; marks what they need of q."""
         searcher, goal = self.searcher, self.goal
         weight, k_rows = np.float32(searcher.weight * SHRINK), self.k_rows(source, offset)
-        h, h_pooled = self.cost_to_go()
+        h, h_pooled, h_lanes = self.cost_to_go()
 
         def chunk(a, b):
             size = 64 * (b - a) + 1024
             while True:
                 out = np.empty((size, 4), np.int32)
-                count = _candidates(
-                    searcher.geometry, goal, source, a, b, d, d_pooled, h, h_pooled, k_rows, self.k0, self.q,
+                count = candidates(
+                    searcher.geometry, goal, source, a, b, d, d_pooled, h, h_pooled, h_lanes, k_rows, self.k0, self.q,
                     self.column, self.rows, self.needed, weight, np.float32(3 * searcher.error), cost, out,
                 )  # fmt: skip
                 if count <= size:
                     return out[:count].copy()
                 size = count
 
-        return np.concatenate(searcher.run(chunk, searcher._chunks(len(cost))))
+        return np.concatenate(searcher.run(chunk, searcher.chunks(len(cost))))
 
     def choose(self, source, offset, candidates, result, part):
         """Writes two-hop transitions into `result` where they come before what is there."""
         count = part.stop - part.start
         choice = np.full((count, 7), -1, np.int64)
         cost = np.full(count, np.inf)
-        _choose(
+        choose(
             self.searcher.geometry, self.goal, source, candidates, self.keys, self.costs, self.choices, self.rows,
             self.searcher.layout.columns, self.k_rows(source, offset), cost, choice,
         )  # fmt: skip
@@ -189,24 +197,20 @@ class _Plan:
             frame[at] = new[:, column] - layout.first[clip[at]]
         result.stay_source[at], result.stay_hop[at], result.stay_second[at] = new[:, 2], new[:, 4], new[:, 5]
 
-def _strips(searcher):
-    return [
-        (clip, first, min(first + ROWS, int(count)))
-        for clip, count in enumerate(searcher.windows[0].counts)
-        for first in range(0, int(count), ROWS)
-    ]
-
 
 def _products(searcher, plans):
     """Q of all destinations, in one pass over the distances between hops."""
 
     def strip(clip, first, last):
-        d, d_pooled = searcher.strip_slab(clip, first, last)
+        d, d_pooled = searcher.strip(0, clip, first, last)
         column = int(searcher.layout.first[clip]) + first
         for plan in plans.values():
-            _product(d, d_pooled, plan.k[plan.k0 :], plan.k_pooled[plan.k0 :], plan.limits, column, plan.q, plan.column)
+            product(
+                d, d_pooled, plan.k[plan.k0 :], plan.lanes, plan.limits[column : column + len(d)], plan.charge, column,
+                plan.q, plan.column,
+            )  # fmt: skip
 
-    searcher.run(strip, _strips(searcher))
+    searcher.run(strip, searcher.strips(0, range(len(searcher.clips))))
 
 
 def _make_exact(searcher, plans):
@@ -231,200 +235,11 @@ def _make_exact(searcher, plans):
                 parts.append((plans[destination], order[a:b]))
         if not parts:
             return
-        d, d_pooled = searcher.strip_slab(clip, first, last)
+        d, d_pooled = searcher.strip(0, clip, first, last)
         for plan, indices in parts:
-            _exact_entries(
+            exact_entries(
                 searcher.geometry, plan.goal, clip, first, low, d, d_pooled, plan.k, plan.k_pooled, plan.k0,
                 plan.column, indices, plan.keys, plan.costs, plan.choices,
             )  # fmt: skip
 
-    searcher.run(strip, _strips(searcher))
-
-
-@njit(cache=True, nogil=True)
-def _product(d, d_pooled, k, k_pooled, limits, column, q, at):
-    """q[r, column + i] = min over columns c of d[i, c] + k[r, c], where that is below limits[r]; `at`: that c."""
-    work = np.empty(d_pooled.shape[1] + 2 * BLOCK, np.float32)
-    for r in range(len(limits)):
-        guess = -1
-        for i in range(len(d)):
-            bound, start = limits[r], -1
-            if guess >= 0:
-                # a window further on both sides is often as good
-                c = min(guess + 1, d.shape[1] - 1)
-                value = np.float32(d[i, c] + k[r, c])
-                if value < bound:
-                    bound, start = value, c
-            if r > 0 and at[r - 1, column + i] >= 0:
-                c = np.int64(at[r - 1, column + i])
-                value = np.float32(d[i, c] + k[r, c])
-                if value < bound:
-                    bound, start = value, c
-            value, guess = least(d[i], d_pooled[i], k[r], k_pooled[r], bound, work)
-            if guess < 0:
-                guess, value = start, bound
-            if guess >= 0:
-                q[r, column + i], at[r, column + i] = value, guess
-
-
-@njit(cache=True, nogil=True)
-def _candidates(
-    geometry, goal, source, t0, t1, d, d_pooled, h, h_pooled, k_rows, k0, q, q_column, rows, needed, weight, slack,
-    cost, out,
-):
-    """Candidates of triggers t0..t1 - 1 whose lower bound does not exceed what is known to be reachable."""
-    keys, values = np.full(MEMO, -1, np.int64), np.empty(MEMO)
-    found = np.empty(CHOICE, np.int64)
-    windows, period, looping = geometry.counts[0, source], geometry.period[source], geometry.looping[source]
-    base, b, fixed, count = geometry.frame0[source], geometry.lengths[0], len(k_rows) > 0, 0
-    work, row_low = np.empty(d_pooled.shape[1] + 2 * BLOCK, np.float32), np.empty(goal.max_stay + 1, np.float32)
-    for t in range(t0, t1):
-        row_low[:] = 0
-        bound = np.float32(min(cost[t] * (1 + 2.0**-20) + 1e-9, FEASIBLE))
-        stay_at, column_at = -1, -1
-        for stay in range(goal.max_stay + 1):
-            a = (t + stay) % period if looping else t + stay
-            charge = np.float32(weight * np.float32(stay))
-            if a >= windows or charge >= bound:
-                break
-            row = k_rows[t + stay] if fixed else stay
-            if row < 0:
-                continue
-            row_low[stay], column = least(
-                d[a], d_pooled[a], h[row], h_pooled[row], np.float32(bound - charge + slack), work
-            )
-            if column >= 0 and row_low[stay] + charge < bound:
-                bound, stay_at, column_at = row_low[stay] + charge, stay, column
-        if column_at < 0:
-            continue
-        limit = cost[t]
-        # the exact cost of the candidate with the least lower bound, by the ways that attained the bounds
-        clip = geometry.block_clip[column_at // BLOCK]
-        u, first = column_at - geometry.first[clip], geometry.first[clip]
-        row = k_rows[t + stay_at] if fixed else stay_at
-        best, best_row, best_x, best_stay = np.float32(FEASIBLE), -1, -1, -1
-        for stay in range(goal.max_stay + 1):
-            x = u + b + stay
-            if geometry.looping[clip]:
-                x %= geometry.period[clip]
-            elif x >= geometry.counts[0, clip]:
-                break
-            r = rows[row + stay]
-            if r < 0:
-                continue
-            value = np.float32(q[r, first + x] + weight * np.float32(stay))
-            if value < best:
-                best, best_row, best_x, best_stay = value, r, x, stay
-        if best_row >= 0:
-            a = (t + stay_at) % period if looping else t + stay_at
-            way = priced(geometry, 0, base + a, geometry.frame0[clip] + u, keys, values) + goal.hop_cost[clip]
-            second = np.int64(q_column[best_row, first + best_x])
-            other = geometry.block_clip[second // BLOCK]
-            way += priced(
-                geometry, 0, geometry.frame0[clip] + best_x, geometry.frame0[other] + second - geometry.first[other],
-                keys, values,
-            ) + goal.weight * (stay_at + best_stay)  # fmt: skip
-            found[COLUMN] = -1
-            way = finish(geometry, goal, 0, second, k0 + best_row, way, np.inf, found, keys, values)
-            limit = min(limit, way)
-        for stay in range(goal.max_stay + 1):
-            a = (t + stay) % period if looping else t + stay
-            if a >= windows or goal.weight * stay > limit:
-                break
-            row = k_rows[t + stay] if fixed else stay
-            if row < 0 or row_low[stay] + goal.weight * stay > limit:
-                continue
-            rest = limit - goal.weight * stay
-            for start in range(0, d_pooled.shape[1], CHUNK):
-                a_part, h_part = d_pooled[a, start : start + CHUNK], h_pooled[row, start : start + CHUNK]
-                if not any_below(a_part, h_part, above(rest)):
-                    continue
-                for block in range(start, min(start + CHUNK, d_pooled.shape[1])):
-                    if d_pooled[a, block] + h_pooled[row, block] > rest:
-                        continue
-                    clip, at = geometry.block_clip[block], block * BLOCK
-                    first = geometry.first[clip]
-                    if not any_below(d[a, at : at + BLOCK], h[row, at : at + BLOCK], above(rest)):
-                        continue
-                    for column in range(at, at + BLOCK):
-                        if np.float64(d[a, column]) + h[row, column] > rest:
-                            continue
-                        u = column - first
-                        own = priced(geometry, 0, base + a, geometry.frame0[clip] + u, keys, values)
-                        if own + h[row, column] > rest:
-                            continue
-                        own += goal.hop_cost[clip]
-                        for stay_hop in range(goal.max_stay + 1):
-                            x = u + b + stay_hop
-                            if geometry.looping[clip]:
-                                x %= geometry.period[clip]
-                            elif x >= geometry.counts[0, clip]:
-                                break
-                            r = rows[row + stay_hop]
-                            if r < 0 or own + goal.weight * stay_hop + q[r, first + x] > rest:
-                                continue
-                            needed[r, first + x] = 1
-                            if count < len(out):
-                                out[count, 0], out[count, 1], out[count, 2], out[count, 3] = t, stay, column, stay_hop
-                            count += 1
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _exact_entries(
-    geometry, goal, clip, first, low, d, d_pooled, k, k_pooled, k0, q_column, indices, entry_keys, costs, choices
-):
-    """Exact optimum of entries of q whose columns lie in the strip of windows first.. of `clip` (columns low..)."""
-    keys, values = np.full(MEMO, -1, np.int64), np.empty(MEMO)
-    columns = q_column.shape[1]
-    for index in indices:
-        r, column = entry_keys[index] // columns, entry_keys[index] % columns
-        i = column - low
-        window = geometry.frame0[clip] + first + i
-        second = np.int64(q_column[r, column])
-        other = geometry.block_clip[second // BLOCK]
-        own = priced(geometry, 0, window, geometry.frame0[other] + second - geometry.first[other], keys, values)
-        choice = choices[index]
-        choice[COLUMN] = -1
-        limit = finish(geometry, goal, 0, second, k0 + r, own, np.inf, choice, keys, values)
-        costs[index] = kernels.exact_entry(
-            geometry, goal, 0, window, d[i], d_pooled[i], k[k0 + r], k_pooled[k0 + r], k0 + r, limit, choice, keys,
-            values,
-        )  # fmt: skip
-
-
-@njit(cache=True, nogil=True)
-def _choose(
-    geometry, goal, source, candidates, entry_keys, costs, choices, rows, columns, k_rows, cost, choice
-):
-    """Least (cost, R, first column, s_s, second column, s_h) of the candidates; choice: those but cost, then s_2."""
-    keys, values = np.full(MEMO, -1, np.int64), np.empty(MEMO)
-    period, looping, base = geometry.period[source], geometry.looping[source], geometry.frame0[source]
-    b, fixed = geometry.lengths[0], len(k_rows) > 0
-    new = np.empty(7, np.int64)
-    for n in range(len(candidates)):
-        t, stay, column, stay_hop = candidates[n, 0], candidates[n, 1], candidates[n, 2], candidates[n, 3]
-        a = (t + stay) % period if looping else t + stay
-        clip = geometry.block_clip[column // BLOCK]
-        u = column - geometry.first[clip]
-        x = u + b + stay_hop
-        if geometry.looping[clip]:
-            x %= geometry.period[clip]
-        row = k_rows[t + stay] if fixed else np.int64(stay)
-        key = rows[row + stay_hop] * columns + geometry.first[clip] + x
-        index = np.searchsorted(entry_keys, key)
-        value = priced(geometry, 0, base + a, geometry.frame0[clip] + u, keys, values) + goal.hop_cost[clip]
-        value += goal.weight * (stay + stay_hop) + costs[index]
-        if value > cost[t]:
-            continue
-        new[0] = stay + stay_hop + choices[index, R]
-        new[1], new[2], new[3], new[4], new[5] = column, stay, choices[index, COLUMN], stay_hop, choices[index, R]
-        better = value < cost[t]
-        if not better:
-            for field in range(5):
-                if new[field] != choice[t, field]:
-                    better = new[field] < choice[t, field]
-                    break
-        if better:
-            cost[t] = value
-            choice[t] = new
+    searcher.run(strip, searcher.strips(0, range(len(searcher.clips))))

@@ -6,6 +6,7 @@ The destination shows frame time + t - o_sd.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -105,8 +106,7 @@ class Blend:
     length: int
 
 
-@dataclass(frozen=True)
-class Transition:
+class Transition(NamedTuple):
     """What the table answers for one (source, destination, trigger frame).
 
     feasible: False where no candidate exists; then the runtime falls back to `direct`. hop: clip index. offset: o_sh =

@@ -66,7 +66,7 @@ def test_a_file_answers_as_the_table_that_wrote_it(builtin_set, saved):
     opened = LookupTable.open(path, builtin_set)
     assert isinstance(opened.entries, np.memmap) and opened.config == table.config
     for (source, destination), frame in [(("walk", "stab"), 7), (("stab", "idle"), 30), (("stab", "idle"), 102)]:
-        expected = replace(table.query(source, destination, frame), cost=None)
+        expected = table.query(source, destination, frame)._replace(cost=None)
         assert opened.query(source, destination, frame) == expected
     assert check_table(table, builtin_set, table.config) > 100
 
