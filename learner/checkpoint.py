@@ -34,18 +34,23 @@ def save(folder, iteration, content, keep):
     with those before it intact.
     """
     folder = storage.folder(folder)
-    payload = io.BytesIO()
-    torch.save({"schema": SCHEMA, "content": _plain(content)}, payload)
-    payload = payload.getvalue()
-    digest = hashlib.sha256(payload).hexdigest()
     name = f"{iteration:08d}.pt"
-    folder.write(name, f"segue checkpoint, schema {SCHEMA}, {len(payload)} bytes, sha256 {digest}\n".encode() + payload)
+    folder.write(name, encode(content))
     names = folder.names()
     # one of a later iteration stays: it is either broken, or of a future that will be computed again
     old = [other for other in names if _NAME.fullmatch(other) and other <= name][:-keep]
     for other in old + [other for other in names if re.fullmatch(r"\d{8}(\.pt)?\.tmp", other)]:
         folder.remove(other)
     return folder.path(name)
+
+
+def encode(content):
+    """The bytes of a checkpoint's file; `content` as in `save`."""
+    payload = io.BytesIO()
+    torch.save({"schema": SCHEMA, "content": _plain(content)}, payload)
+    payload = payload.getvalue()
+    digest = hashlib.sha256(payload).hexdigest()
+    return f"segue checkpoint, schema {SCHEMA}, {len(payload)} bytes, sha256 {digest}\n".encode() + payload
 
 
 def paths(folder):

@@ -92,7 +92,7 @@ def update(state, chunks):
     observation = tensor(chunk.observation.reshape(samples, -1))
     with torch.no_grad():
         inputs = state.observations(observation)
-        advantage, returns, value_error = _targets(state, chunk, inputs)
+        advantage, returns, value_error = targets(state, chunk, inputs)
     state.returns.update(tensor(returns.reshape(-1, 1)))
     return_mean, return_scale = (x.float() for x in state.returns.mean_and_scale())
     wanted_value = (tensor(returns.reshape(-1)) - return_mean) * return_scale
@@ -173,8 +173,11 @@ def concatenate_chunks(chunks):
     )
 
 
-def _targets(state, chunk, inputs):
-    """(advantage, return), each (T, N), and the value network's mean absolute error, in units of reward."""
+def targets(state, chunk, inputs):
+    """(advantage, return), each (T, N), and the value network's mean absolute error, in units of reward.
+
+    inputs: the normalized observations of the chunk, (T * N, 282).
+    """
     horizon, n = chunk.end.shape
     mean, scale = (x.float() for x in state.returns.mean_and_scale())
 

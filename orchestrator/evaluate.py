@@ -1,19 +1,20 @@
 """Evaluate a trained policy on the grid of tasks: the 13 metrics of Table 1 (section 6), and where it fails.
 
-usage: python -m orchestrator.evaluate RUN_OR_CHECKPOINT [--config FILE] [key=value ...]
-       python -m orchestrator.evaluate RUN_OR_CHECKPOINT --replay N [--final] [--deterministic] [--save FILE.npz]
+usage: python -m orchestrator.evaluate RUN_OR_POLICY [--config FILE] [key=value ...]
+       python -m orchestrator.evaluate RUN_OR_POLICY --replay N [--final] [--deterministic] [--save FILE.npz]
 
   python -m orchestrator.evaluate runs/ablation/ours-seed0
   python -m orchestrator.evaluate runs/ablation/ours-seed0 evaluation.max_tasks=0       the whole grid
   python -m orchestrator.evaluate runs/ablation/ours-seed0/checkpoints/00000480.pt      another than the newest
+  python -m orchestrator.evaluate builtin                                               a policy that comes with Segue
   python -m orchestrator.evaluate runs/ablation/ours-seed0 --replay 1234                a task of failures.csv again
 
 Of a run's folder the newest checkpoint is evaluated; evaluation.json, failures.csv and the finished shards
-(evaluation/) go there. Of a checkpoint's file they go to a folder beside it, NAME-evaluation/. The same command goes on
-where it was interrupted. Spread over Ray (runtime=ray; RAY_ADDRESS for a cluster) or in this process (runtime=local):
-the numbers are the same.
+(evaluation/) go there. Of a checkpoint's file they go to a folder beside it, NAME-evaluation/; of a policy that comes
+with Segue (`builtin`), to runs/NAME-evaluation/. The same command goes on where it was interrupted. Spread over Ray
+(runtime=ray; RAY_ADDRESS for a cluster) or in this process (runtime=local): the numbers are the same.
 
---config FILE     the run's configuration; default: config.yaml of the run's folder
+--config FILE     the run's configuration; default: config.yaml of the run's folder, or what the checkpoint holds of it
 --replay N        play the task of number N alone, at the thresholds reached in training and with the evaluation's noise
 --final           --replay at the final accuracy
 --deterministic   --replay without noise
@@ -36,7 +37,8 @@ from orchestrator.evaluation.failures import ended
 from orchestrator.evaluation.grid import FAILURES, KEPT, evaluate
 from orchestrator.evaluation.pools import LocalPool, of_cluster, within_run
 from orchestrator.evaluation.subject import load_file, load_newest
-from orchestrator.settings import load
+from orchestrator.saved import load_file as load_checkpoint
+from orchestrator.settings import complete, config_folder, load
 from orchestrator.tasks import TaskGrid
 from workers.library import build_library
 
@@ -71,16 +73,26 @@ def write_evaluation(out, config, subject, make_pool, show):
 def main(arguments):
     """Command line; see the module's docstring."""
     where, options, overrides = parse(arguments)
-    of_file = where.suffix == ".pt"
-    if not where.exists():
-        raise InputError(f"{where}: no such {'checkpoint' if of_file else 'folder'}")
-    config = load(config_file(where, of_file, options), ["device=cpu", *overrides])
-    subject = load_file(where, config) if of_file else load_newest(where, config)
+    where, out = locate(where)
+    config = configuration(where, options, ["device=cpu", *overrides])
+    subject = load_file(where, config) if where.suffix == ".pt" else load_newest(where, config)
     if "--replay" in options:
         return replay(config, subject, options)
-    out = where.with_name(f"{where.stem}-evaluation") if of_file else where
     conclude(out, run(out, config, subject))
     return 0
+
+
+def locate(where):
+    """(folder or checkpoint, folder for the results) of a path or the name of a policy that comes with Segue."""
+    if where.suffix == ".pt" and where.is_file():
+        return where, where.with_name(f"{where.stem}-evaluation")
+    if where.is_dir():
+        return where, where
+    shipped = {path.stem: path for path in sorted((config_folder() / "policies").glob("*.pt"))}
+    if str(where) in shipped:
+        return shipped[str(where)], Path("runs", f"{where}-evaluation")
+    what = "checkpoint" if where.suffix == ".pt" else "folder"
+    raise InputError(f"{where}: no such {what}, nor a policy that comes with Segue ({', '.join(shipped)})")
 
 
 def parse(arguments):
@@ -107,15 +119,23 @@ def parse(arguments):
     return Path(rest[0]), options, rest[1:]
 
 
-def config_file(where, of_file, options):
-    """Path of the configuration of a run's folder or of a checkpoint in one. InputError if there is none."""
+def configuration(where, options, arguments):
+    """The `Config` to evaluate a run's folder or a checkpoint with: of --config, of the run, or of the checkpoint.
+
+    arguments: key=value, over it. InputError if there is none.
+    """
     if "--config" in options:
-        return Path(options["--config"])
+        return load(options["--config"], arguments)
+    of_file = where.suffix == ".pt"
     path = run_folder.config_path(where.absolute().parent.parent if of_file else where)
-    if not path.exists():
-        what = "two levels above the checkpoint" if of_file else "there"
-        raise InputError(f"{where}: no config.yaml {what}; give the run's with --config FILE")
-    return path
+    if path.exists():
+        return load(path, arguments)
+    content = load_checkpoint(where) if of_file else {"config": None}
+    if not content["config"]:
+        what = ", neither in it nor two levels above" if of_file else " there"
+        raise InputError(f"{where}: no configuration{what}; give the run's config.yaml with --config FILE")
+    # training's budget is not among the numbers of a checkpoint
+    return complete({"budget.iterations": max(content["iteration"], 1), **content["config"]}, where, arguments)
 
 
 def run(out, config, subject):

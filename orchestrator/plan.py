@@ -29,7 +29,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Plan:
-    """A sweep: its name (the MLflow experiment), folder, rows and seeds, and its runs, seed by seed."""
+    """A sweep: its name (the MLflow experiment), folder, rows and seeds (of all rows), and its runs, seed by seed."""
 
     name: str
     out: Path
@@ -47,6 +47,7 @@ def read_plan(path, command):
     """The `Plan` of a sweep's file and the command line's `Layer`; InputError for anything wrong in either.
 
     The command line may choose `rows=[...]`, `seeds=[...]` (or `seed=`) and `out=`; its other keys hold for every run.
+    A row of the file may have `seeds` of its own instead of the file's.
     """
     path = find_sweep(path)
     content = read_yaml(path, "sweep file")
@@ -61,13 +62,22 @@ def read_plan(path, command):
     rows = rows_of(content, path)
     overrides = dict(command.values)
     chosen = chosen_rows(overrides.pop("rows", None), rows, command.origin)
+    own_seeds = {
+        row: valid_seeds(values.pop("seeds"), f"sweep file {path}", f"rows.{row}.seeds")
+        for row, values in rows.items()
+        if "seeds" in values
+    }
+    if "seeds" in overrides or "seed" in overrides:
+        own_seeds = {}
     seeds = chosen_seeds(overrides, content, path, command.origin)
+    seeds_of = {row: own_seeds.get(row, seeds) for row in chosen}
+    seeds = list(dict.fromkeys(seed for row in chosen for seed in seeds_of[row]))
     out = Path(text(overrides.pop("out", f"runs/{name}"), "out", command.origin)).expanduser().absolute()
     base = [Layer(mapping(content, "base", path), f"{path} (base)")]
     base += [Layer({"budget": content["budget"]}, f"{path} (budget)")] if content.get("budget") is not None else []
     runs = []
     for seed in seeds:
-        for row in chosen:
+        for row in (row for row in chosen if seed in seeds_of[row]):
             own = Layer({"row": row, "seed": seed, "out": str(out)}, path)
             config = build([*base, Layer(rows[row], f"{path} (row {row})"), Layer(overrides, command.origin), own])
             runs.append(Run(config, out / run_name(row, seed)))
@@ -101,7 +111,7 @@ def rows_of(content, path):
     for row in rows:
         if not isinstance(row, str) or not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", row):
             raise InputError(f"sweep file {path}: row {row!r} must be of letters, digits, '_', '-' and '.'")
-    return {row: mapping(rows, row, path) for row in rows}
+    return {row: dict(mapping(rows, row, path)) for row in rows}
 
 
 def chosen_rows(value, rows, origin):
@@ -128,6 +138,11 @@ def chosen_seeds(overrides, content, path, origin):
         seeds, where, key = overrides.pop("seeds"), origin, "seeds"
     else:
         seeds, where, key = content.get("seeds", [0]), f"sweep file {path}", "seeds"
+    return valid_seeds(seeds, where, key)
+
+
+def valid_seeds(seeds, where, key):
+    """`seeds`, if they are a list of different integers of at least 0; else InputError."""
     valid = isinstance(seeds, list) and seeds and all(type(seed) is int and seed >= 0 for seed in seeds)
     if not valid or len(set(seeds)) < len(seeds):
         raise InputError(f"{where}: {key}={shown(seeds)} must be different integers of at least 0")

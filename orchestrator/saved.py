@@ -38,6 +38,25 @@ def content_of(config, clips, iteration, learner, curriculum, workers, policies,
     }
 
 
+def policy_content(saved, config):
+    """Content of a policy file: a checkpoint for use, not for going on; for `learner.checkpoint.encode`.
+
+    It has the policy that is evaluated, where the curriculum stood, the clips' hash and a configuration to evaluate it
+    with. saved: as from `load_latest`. config: the run's.
+    """
+    other = (*run_folder.FREE, "device", "motions.dir")  # and no paths
+    return {
+        "iteration": saved["iteration"],
+        "config": {key: value for key, value in flatten(asdict(config)) if not key.startswith(other)},
+        "clips": saved["clips"],
+        "learner": None,
+        "curriculum": asdict(saved["parts"][1]),
+        "workers": [],
+        "policies": [vars(saved["policies"][-1].averaged())],
+        "thresholds": [],
+    }
+
+
 def load_latest(folder, config=None):
     """(content of the newest readable checkpoint of a run's folder, its path), or (None, None) if there is none yet.
 
@@ -75,6 +94,8 @@ def check_same_run(saved, config, clips, path):
 
     clips: `StateMachine.clips_hash` of the clips as they are now.
     """
+    if saved["parts"][0] is None:
+        raise InputError(f"{path}: holds a policy to use, not the state of a run; choose another out=")
     check_same_clips(saved["clips"], clips, path)
     wanted = _numbers_of(config)
     for key, value in saved["config"].items():

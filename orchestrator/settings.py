@@ -226,11 +226,19 @@ def save(config, path):
 
 def load(path, arguments=()):
     """The `Config` that `save` wrote, with key=value arguments over it. InputError if missing or wrong."""
+    return complete(read_yaml(path, "configuration"), path, arguments)
+
+
+def complete(values, path, arguments=()):
+    """The `Config` of nested or dotted values that `path` holds, key=value arguments over them. InputError if wrong.
+
+    Nothing of configs/ is added; keys that are not there have the defaults of `Config`.
+    """
     command = command_line(arguments)
     for key in FILE_KEYS:
         if key in command.values:
             raise InputError(f"command line: {key}= chooses a file for a new run; {path} is complete already")
-    entries = [(k, v, str(path)) for k, v in flatten(read_yaml(path, "configuration")) if k not in REMOVED_KEYS]
+    entries = [(k, v, str(path)) for k, v in flatten(values) if k not in REMOVED_KEYS]
     entries = stacked([entries, [(key, value, command.origin) for key, value in flatten(command.values)]])
     result = to_config(nested(entries), f"configuration {path}")
     origins = {key: origin for key, _, origin in entries}

@@ -45,6 +45,17 @@ def test_the_command_line_chooses_rows_and_seeds_and_wins(tmp_path):
     assert plan_of(tmp_path, SWEEP, "rows=first").rows == ("first",)
 
 
+def test_a_row_may_have_seeds_of_its_own_which_the_command_line_replaces(tmp_path):
+    text = "base: {scale: smoke}\nrows:\n  first: {seeds: [0, 2]}\n  second: {sbc.enabled: false}\n"
+    plan = plan_of(tmp_path, text)
+    assert [run.name for run in plan.runs] == ["first-seed0", "second-seed0", "first-seed2"]
+    assert plan.seeds == (0, 2)
+    names = [run.name for run in plan_of(tmp_path, text, "seeds=[5]").runs]
+    assert names == ["first-seed5", "second-seed5"]
+    with pytest.raises(InputError, match=r"rows.first.seeds=\[0,0\] must be different integers"):
+        plan_of(tmp_path, text.replace("[0, 2]", "[0, 0]"))
+
+
 def test_budget_of_the_file(tmp_path):
     assert plan_of(tmp_path, SWEEP + "budget: {iterations: 5}\n").runs[0].config.total_iterations == 5
     assert (
