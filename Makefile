@@ -5,10 +5,11 @@ RUN := $(VENV)/bin/python
 
 .PHONY: demo test check clean
 
-demo: $(VENV)/ready  ## the ablation sweep on the built-in clips, about 10 minutes on 2 cores
+demo: $(VENV)/ready  ## the ablation sweep on the built-in clips, 6 minutes on 2 cores
 	$(RUN) -m orchestrator.sweep sweeps/ablation.yaml scale=demo
 
 test: $(VENV)/ready  ## the default suite
+	$(RUN) -m tests.compile
 	$(RUN) -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/ready  ## style

@@ -14,6 +14,7 @@ from orchestrator import settings
 from orchestrator.evaluate import evaluate_run, main
 from orchestrator.evaluation.replay import load_policy, record
 from orchestrator.evaluation.subject import clips_of, load_file
+from orchestrator.policy_file import main as policy_file
 from orchestrator.run import train
 from orchestrator.tasks import TaskGrid
 from workers.types import Thresholds
@@ -59,15 +60,46 @@ def test_a_checkpoints_file_is_evaluated_beside_it_and_leaves_the_runs_own_alone
     assert main([str(run / "checkpoints/00000001.pt")]) == 0
     first = json.loads((run / "checkpoints/00000001-evaluation/evaluation.json").read_text())
     assert (first["checkpoint"], first["samples"]) == ("00000001.pt", 64)
-    # without its run's folder it needs the configuration
+    # without its run's folder it has most of the configuration in it; --config gives all
     elsewhere = run.parent / "00000002.pt"
     shutil.copy(run / "checkpoints/00000002.pt", elsewhere)
-    with pytest.raises(InputError, match="no config.yaml two levels above the checkpoint; give the run's with"):
-        main([str(elsewhere)])
     assert main([str(elsewhere), "--config", str(run / "config.yaml")]) == 0
     assert (run.parent / "00000002-evaluation/evaluation.json").read_bytes() == before
+    assert main([str(elsewhere), "evaluation.max_tasks=3", "evaluation.robustness_resolution=1.0"]) == 0
+    assert json.loads((run.parent / "00000002-evaluation/evaluation.json").read_text())["tasks"] == 3
     assert (run / "evaluation.json").read_bytes() == before
     assert "20 tasks of the grid's 41,223" in capsys.readouterr().out
+
+
+def test_a_checkpoint_without_any_configuration_asks_for_one(tmp_path):
+    shutil.copy(next(path for path in SCHEMAS if "schema1" in path.name), tmp_path / "old.pt")
+    with pytest.raises(InputError, match="old.pt: no configuration, neither in it nor .*--config FILE"):
+        main([str(tmp_path / "old.pt")])
+
+
+def test_a_policy_file_evaluates_as_the_run_that_it_is_of_and_cannot_be_continued(run, config, tmp_path, capsys):
+    assert policy_file([str(run), str(tmp_path / "mine.pt")]) == 0
+    assert (tmp_path / "mine.pt").stat().st_size < (run / "checkpoints/00000002.pt").stat().st_size / 2
+    assert main([str(run)]) == main([str(tmp_path / "mine.pt")]) == 0
+    folders = run, tmp_path / "mine-evaluation"
+    of_run, of_file = (json.loads((folder / "evaluation.json").read_text()) for folder in folders)
+    del of_run["checkpoint"], of_file["checkpoint"]
+    assert of_run == of_file
+    other = tmp_path / "other/checkpoints"
+    other.mkdir(parents=True)
+    shutil.copy(tmp_path / "mine.pt", other / "00000002.pt")
+    with pytest.raises(InputError, match="00000002.pt: holds a policy to use, not the state of a run"):
+        train(config, other.parent)
+
+
+def test_the_policy_that_comes_with_segue_reaches_what_its_training_reached(tmp_path, monkeypatch, capsys):
+    """By name, from anywhere: at its own thresholds it reaches far more than one that does nothing."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["builtin", "runtime=local", "evaluation.max_tasks=60", "evaluation.robustness_resolution=1.0"]) == 0
+    content = json.loads((tmp_path / "runs/builtin-evaluation/evaluation.json").read_text())
+    assert content["tightenings"] >= 5 and content["trained"]["TTAR"] > 0.7
+    with pytest.raises(InputError, match=r"buildin: no such folder, nor a policy that comes with Segue \(builtin\)"):
+        main(["buildin"])
 
 
 def test_an_evaluation_may_be_made_again_with_other_settings(run, capsys):
