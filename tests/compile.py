@@ -8,18 +8,18 @@ import tempfile
 
 
 def one_hop():
-    """Every kernel of the search: both regimes, one and two hops."""
+    """The kernels of the search: both regimes, two hops (which begin with one)."""
     from motion import builtin
     from motion.onehop.clips import ClipSet
     from motion.onehop.search import SearchConfig, build
 
     clips = ClipSet.from_clips([builtin.load(name) for name in ("idle", "stab")], fps=60)
-    for regime, hops in (("start", 2), ("fixed", 2)):
-        build(clips, "all", SearchConfig(weight=3e-4, regime=regime, hops=hops))
+    for regime in ("start", "fixed"):
+        build(clips, "all", SearchConfig(weight=3e-4, regime=regime, hops=2))
 
 
 def run():
-    """Every kernel of a run."""
+    """The kernels of a run."""
     from orchestrator.evaluate import evaluate_run
     from orchestrator.run import train
     from orchestrator.settings import build, command_line
