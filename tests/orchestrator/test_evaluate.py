@@ -142,7 +142,7 @@ def test_a_failed_task_goes_the_same_way_again(run, config, library, capsys):
         (["runtime=local"], "no run folder or checkpoint given"),
         (["{run}/nothing"], "nothing: no such folder"),
         (["{run}/00000009.pt"], "00000009.pt: no such checkpoint"),
-        (["{run}/checkpoints"], "checkpoints: no config.yaml there"),
+        (["{run}/checkpoints"], "checkpoints: no configuration there"),
         (["{run}", "--best"], "--best: no such option"),
         (["{run}", "--replay"], "--replay: needs a value"),
         (["{run}", "--save=x.npz"], "--save: goes with --replay N"),
