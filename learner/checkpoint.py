@@ -2,7 +2,7 @@
 
 A file is a line of text and a payload:
 
-    segue checkpoint, schema 3, 79214 bytes, sha256 3f0c...
+    segue checkpoint, schema 4, 79214 bytes, sha256 3f0c...
     (torch.save of {"schema": 3, "content": ...}: tensors, numbers, strings, lists, dicts)
 
 so that a file that was cut off, or in which a bit has turned, is known as such before anything is made of it. Files of
@@ -20,7 +20,7 @@ import torch
 from learner import storage
 from motion.errors import InputError
 
-SCHEMA = 3
+SCHEMA = 4
 
 _HEADER = re.compile(rb"segue checkpoint, schema (\d+), (\d+) bytes, sha256 ([0-9a-f]{64})\n")
 _NAME = re.compile(r"\d{8}\.pt")
@@ -144,8 +144,12 @@ def _from_schema_2(content):
         content["learner"]["average"] = None
 
 
+def _from_schema_3(content):
+    """Schema 4 may hold thresholds of every group of tasks, and the curriculum's tracks (both absent here)."""
+
+
 # schema -> what turns its content, in place, into that of the next one
-_UPGRADES = {1: _from_schema_1, 2: _from_schema_2}
+_UPGRADES = {1: _from_schema_1, 2: _from_schema_2, 3: _from_schema_3}
 
 
 def _plain(value):

@@ -40,6 +40,9 @@ class CurriculumConfig:
     all tasks; kept tasks are the hard ones and bias it downwards."""
     window_unit: str = "iterations"
     """Unit of the window: `iterations` or `episodes`."""
+    scope: str = "run"
+    """What shares one sequence of thresholds, with a window of its own: `run`, the paper: all tasks; `source`: those
+    that start from one clip; `group`: those from one clip to another. A run's thresholds are then its loosest."""
 
 
 @dataclass

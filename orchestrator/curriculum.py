@@ -14,13 +14,18 @@ from workers.types import REACHED, Thresholds, concatenate_outcomes, judging
 @dataclass(frozen=True)
 class CurriculumState:
     """window: (reached, ended) per entry, oldest first; tightenings: cuts so far; achieved_at: iteration at which the
-    final accuracy was set as threshold, or None; iteration: chunks observed; tally: see `orchestrator.focus`."""
+    final accuracy was set as threshold, or None; iteration: chunks observed; tally: see `orchestrator.focus`.
+
+    tracks: with a `curriculum.scope` other than `run`, one (window, tightenings) for each of its sources or groups;
+    then `window` is empty and `tightenings` the fewest of them.
+    """
 
     window: tuple = ()
     tightenings: int = 0
     iteration: int = 0
     achieved_at: int | None = None
     tally: np.ndarray | None = None
+    tracks: tuple = ()
 
 
 def final_tightenings(config):
@@ -42,37 +47,58 @@ def thresholds(config, reach, tightenings):
     return Thresholds(*values, heading=heading, tightenings=tightenings)
 
 
-def observe(state, config, outcomes):
+def observe(state, config, outcomes, track=None):
     """The `CurriculumState` after the outcomes of one more iteration (episodes in the order in which they ended).
 
     The window holds the last `config.window` iterations or episodes. When it is full and the achievement rate over it
     exceeds `config.achievement`, the thresholds are cut once and the window starts again: with episodes that the new
     thresholds judged, not those that were on their way (in a pipeline, a whole chunk) when the cut was made.
+
+    track: (E,), the place in `state.tracks` of each episode, where there are any: each goes its own way like that.
     """
-    iteration = state.iteration + 1
     if not config.count_retained:
-        outcomes = outcomes.take(~outcomes.retained)
+        kept = ~outcomes.retained
+        outcomes, track = outcomes.take(kept), track if track is None else track[kept]
+    if state.tracks:
+        tracks = tuple(
+            _advance(*one, config, outcomes.take(track == number)) for number, one in enumerate(state.tracks)
+        )
+        window, tightenings = (), min(cuts for _, cuts in tracks)
+    else:
+        tracks = ()
+        window, tightenings = _advance(state.window, state.tightenings, config, outcomes)
+    iteration, achieved_at = state.iteration + 1, state.achieved_at
+    if achieved_at is None and tightenings == final_tightenings(config):
+        achieved_at = iteration
+    return replace(
+        state, window=window, tightenings=tightenings, iteration=iteration, achieved_at=achieved_at, tracks=tracks
+    )
+
+
+def _advance(window, tightenings, config, outcomes):
+    """(window, tightenings) of one sequence of thresholds after its episodes of one more iteration."""
     reached = outcomes.end == REACHED
     if config.window_unit == "iterations":
-        judged = outcomes.tightenings == state.tightenings
-        entries = [(int(reached[judged].sum()), int(judged.sum()), state.tightenings)]
+        judged = outcomes.tightenings == tightenings
+        entries = [(int(reached[judged].sum()), int(judged.sum()), tightenings)]
         if len(outcomes) and not judged.any():
             entries = []
     else:
         entries = [(int(hit), 1, int(cuts)) for hit, cuts in zip(reached, outcomes.tightenings)]
-    window, tightenings = state.window, state.tightenings
     for hits, count, cuts in entries:
         if cuts != tightenings:
             continue
         window = (*window, (hits, count))[-config.window :]
         if len(window) == config.window and _rate(window) > config.achievement:
             window, tightenings = (), tightenings + 1
-    last = final_tightenings(config)
-    tightenings = min(tightenings, last)
-    achieved_at = state.achieved_at
-    if achieved_at is None and tightenings == last:
-        achieved_at = iteration
-    return replace(state, window=window, tightenings=tightenings, iteration=iteration, achieved_at=achieved_at)
+    return window, min(tightenings, final_tightenings(config))
+
+
+def tracks_of(scope, groups):
+    """The track (G,) int64 of every group (G, 2) of source and target, numbered from 0, by `curriculum.scope`."""
+    if scope == "run":
+        return np.zeros(len(groups), dtype=np.int64)
+    return np.unique(groups[:, 0] if scope == "source" else np.arange(len(groups)), return_inverse=True)[1]
 
 
 def _rate(window):
@@ -87,22 +113,33 @@ class Curriculum:
         """config: the run's `orchestrator.config.Config`; saved: what `saved()` gave, to continue from."""
         self._config = config
         self._state = saved or CurriculumState()
-        self._library = build_library(build_state_machine(config.motions)) if config.task.focus else None
-        if self._library and self._state.tally is None:
+        self._library = build_library(build_state_machine(config.motions))
+        self._track = tracks_of(config.curriculum.scope, self._library.groups)
+        if config.task.focus and self._state.tally is None:
             self._state = replace(self._state, tally=focus.empty_tally(self._library))
+        if config.curriculum.scope != "run" and not self._state.tracks:
+            self._state = replace(self._state, tracks=(((), 0),) * (self._track.max() + 1))
 
     def thresholds(self):
         """The thresholds in force."""
-        limits = thresholds(self._config.curriculum, self._config.reach, self._state.tightenings)
-        return replace(limits, shares=focus.shares(self._state.tally)) if self._library else limits
+        state, config = self._state, self._config
+        limits = thresholds(config.curriculum, config.reach, state.tightenings)
+        if state.tally is not None:
+            limits = replace(limits, shares=focus.shares(state.tally))
+        if state.tracks:
+            own = [thresholds(config.curriculum, config.reach, cuts) for _, cuts in state.tracks]
+            rows = np.concatenate([one.of(np.zeros(1)) for one in own])[self._track]
+            limits = replace(limits, groups=tuple(map(tuple, rows.tolist())))
+        return limits
 
     def observe(self, *outcomes):
         """(thresholds after one more iteration's outcomes, summary of these outcomes)."""
         joined = concatenate_outcomes(outcomes)
         judges = self._config.policy.judges
         counted = joined.take(judging(joined.environment, judges)) if judges else joined
-        self._state = observe(self._state, self._config.curriculum, counted)
-        if self._library:
+        track = self._track[self._library.group_of(counted.task)] if self._state.tracks else None
+        self._state = observe(self._state, self._config.curriculum, counted, track)
+        if self._state.tally is not None:
             self._state = replace(self._state, tally=focus.count(self._state.tally, joined, self._library))
         return self.thresholds(), summarize(joined, counted)
 

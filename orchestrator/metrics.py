@@ -43,10 +43,14 @@ def summarize(outcomes, counted):
 
 
 def describe_thresholds(thresholds):
-    """Metrics (dict) of the thresholds in force."""
-    return {
+    """Metrics (dict) of the thresholds in force; where they differ between tasks, the loosest, and how far all got."""
+    metrics = {
         "thresholds/root_position": thresholds.root_position,
         "thresholds/key_bodies": thresholds.key_bodies,
         "thresholds/joint_rotation": thresholds.joint_rotation,
         "thresholds/tightenings": thresholds.tightenings,
     }
+    if thresholds.groups:
+        cuts = [group[-1] for group in thresholds.groups]
+        metrics |= {"thresholds/mean_tightenings": float(np.mean(cuts)), "thresholds/most_tightenings": int(max(cuts))}
+    return metrics

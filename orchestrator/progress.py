@@ -107,7 +107,8 @@ class Progress:
             parts.append(f"return {number(m.get('return/mean'), '6.2f')}")
             parts.append(f"reached {number(m.get('achievement'), '4.0%')}")
             limits = "/".join(number(m.get(f"thresholds/{name}"), ".3g") for name in THRESHOLDS)
-            parts.append(f"thresholds {limits} ({m.get('thresholds/tightenings', 0)} cuts)")
+            least, most = m.get("thresholds/tightenings", 0), m.get("thresholds/most_tightenings")
+            parts.append(f"thresholds {limits} ({least}{'' if most is None else f' to {most}'} cuts)")
         if row.state == RUNNING and (rate := row.rate()):
             parts.append(f"{duration((row.total - row.iteration) / rate)} left")
         return "  ".join(parts)

@@ -77,7 +77,9 @@ def load_file(path):
 
 
 def _objects(content):
-    curriculum = {**arrays(content["curriculum"]), "window": tuple(map(tuple, content["curriculum"]["window"]))}
+    curriculum = arrays(content["curriculum"])
+    curriculum["window"] = _pairs(curriculum["window"])
+    curriculum["tracks"] = tuple((_pairs(window), cuts) for window, cuts in curriculum.get("tracks", ()))
     return {
         "iteration": content["iteration"],
         "config": content.get("config", {}),
@@ -87,6 +89,10 @@ def _objects(content):
         "policies": [Policy(**arrays(item)) for item in content["policies"]],
         "thresholds": [Thresholds(**arrays(item)) for item in content["thresholds"]],
     }
+
+
+def _pairs(window):
+    return tuple(map(tuple, window))
 
 
 def check_same_run(saved, config, clips, path):

@@ -105,6 +105,7 @@ RULES = {
     "curriculum.achievement": PROBABILITY,
     "curriculum.window": at_least(1),
     "curriculum.window_unit": choice("iterations", "episodes"),
+    "curriculum.scope": choice("run", "source", "group"),
     "checkpoint.every": at_least(1),
     "checkpoint.keep": at_least(1),
     "checkpoint.storage": (

@@ -25,7 +25,7 @@ class Dump:
     """The last steps of one environment, K of them, the last of which exploded.
 
     state: `WorkerState` with one row, before them. action: (K, 31) float32. pose: (K, 84) float32, qpos and qvel before
-    each step. config: `EnvConfig`. thresholds: in force. seed, iteration: of the run, and which of its iterations.
+    each step. config: `EnvConfig`. thresholds: of its task. seed, iteration: of the run, and which of its iterations.
     """
 
     state: WorkerState
@@ -60,6 +60,9 @@ def record(config, library, state, policy, thresholds, environment, clock, steps
     if chunk.outcomes.end.tolist() != [FELL] or chunk.outcomes.fell_on[0] >= 0:
         return None
     parts = {field.name: getattr(config, field.name) for field in fields(EnvConfig)}
+    if thresholds.groups:  # a replay has no clips and knows no groups
+        *limits, tightenings = thresholds.of(library.group_of(row.task))[0].tolist()
+        thresholds = Thresholds(*limits, tightenings=int(tightenings))
     return Dump(row, chunk.action[:, 0], chunk.pose[:, 0], EnvConfig(**parts), thresholds, config.seed, iteration)
 
 

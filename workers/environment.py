@@ -73,12 +73,12 @@ def _score(
         steps[i] += 1
         changes = sign_changes(last_qvel[i], qvel[i])
         trembles[i] += changes
-        end[i], fell_on[i] = terminate(deviations[i], thresholds, bodies[i], rotations[i], mask, steps[i], max_steps)
+        end[i], fell_on[i] = terminate(deviations[i], thresholds[i], bodies[i], rotations[i], mask, steps[i], max_steps)
         if diverged[i]:
             end[i], fell_on[i] = FELL, -1
         reward(
             before, deviations[i], joints_before, joints[i], changes, trembles[i], end[i],
-            penalty, tremble, failure, parts[i],
+            penalty, tremble[i], failure, parts[i],
         )  # fmt: skip
 
 
@@ -158,19 +158,21 @@ class Environment:
         if diverged.any():
             self.qpos[diverged], self.qvel[diverged] = last_qpos[diverged], last_qvel[diverged]
         switches = self.config.reward
-        # floats, also where a caller gives integers: another type would be compiled for on the spot
-        names = ("root_position", "key_bodies", "joint_rotation", "heading")
-        limits = np.array([getattr(thresholds, name) for name in names], dtype=np.float64)
+        limits = thresholds.of(self.groups(thresholds, self._all))
         _score(
             rows, self.qpos, self.qvel, last_qvel, diverged, self.bodies, self.rotations,
             self.target_qpos, self.target_qvel, self.target_bodies,
             limits,
             self._mask, self.config.task.max_steps, self._own_frame,
-            bool(switches.upper_body_penalty), tremble_share(switches, thresholds.tightenings),
+            bool(switches.upper_body_penalty), tremble_share(switches, limits[:, 4]),
             float(switches.failure),
             self.deviations, self.joints, self.steps, self.trembles, self.parts, self.end, self.fell_on,
         )  # fmt: skip
         self.totals[rows] += self.parts[rows]
+
+    def groups(self, thresholds, ids):
+        """What `Thresholds.of` takes for rows ids: the numbers of their tasks' groups where they matter."""
+        return self.library.group_of(self.task[ids]) if thresholds.groups else ids
 
     def load(self, state):
         """Become the environments of a `WorkerState`."""

@@ -39,6 +39,12 @@ class MotionLibrary:
     groups: np.ndarray
     rotation: np.ndarray
 
+    def group_of(self, tasks):
+        """The number (M,) int64 in `groups` of the pair of clips of each of the tasks (M, 4); -1 where it is none."""
+        number = np.full((len(self.frames), len(self.frames)), -1, dtype=np.int64)
+        number[self.groups[:, 0], self.groups[:, 1]] = np.arange(len(self.groups))
+        return number[tasks[:, 0].astype(np.int64), tasks[:, 2].astype(np.int64)]
+
 
 def build_library(state_machine):
     """The `MotionLibrary` of a `motion.state_machine.StateMachine`."""

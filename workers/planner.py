@@ -21,8 +21,6 @@ def number_of_cells(library):
 def cells_of(tasks, library):
     """The cell (M,) int64 that each of the tasks (M, 4) lies in, numbered by group, then moment, then rotation."""
     source = tasks[:, 0].astype(np.int64)
-    number = {pair: i for i, pair in enumerate(map(tuple, library.groups.tolist()))}
-    group = np.array([number[pair] for pair in zip(source.tolist(), tasks[:, 2].astype(np.int64).tolist())], dtype=int)
 
     def part(value, low, high, parts):
         share = (value - low) / np.maximum(high - low, 1e-12)  # a range may be a point
@@ -30,7 +28,7 @@ def cells_of(tasks, library):
 
     moment = part(tasks[:, 1], library.cancel[source, 0], library.cancel[source, 1], MOMENTS)
     rotation = part(tasks[:, 3], library.rotation[0], library.rotation[1], ROTATIONS)
-    return (group * MOMENTS + moment) * ROTATIONS + rotation
+    return (library.group_of(tasks) * MOMENTS + moment) * ROTATIONS + rotation
 
 
 @njit(cache=True)

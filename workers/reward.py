@@ -130,10 +130,10 @@ def sign_changes(before, after):
 
 
 def tremble_share(config, tightenings):
-    """Share (0 to 1) of the tremble term's weight after so many tightenings; config: `workers.config.RewardConfig`."""
+    """Share (0 to 1) of the tremble term's weight after so many tightenings, both (N,); config: `RewardConfig`."""
     if not config.tremble:
-        return 0.0
-    return min(1.0, tightenings / config.tremble_ramp) if config.tremble_ramp else 1.0
+        return np.zeros(len(tightenings))
+    return np.minimum(1.0, tightenings / config.tremble_ramp) if config.tremble_ramp else np.ones(len(tightenings))
 
 
 @njit(cache=True)

@@ -97,7 +97,7 @@ def outcomes(env, clock, index, ids, thresholds):
         retained=env.retained[ids],
         end=env.end[ids],
         fell_on=env.fell_on[ids],
-        tightenings=np.full(len(ids), thresholds.tightenings, dtype=np.int64),
+        tightenings=thresholds.of(env.groups(thresholds, ids))[:, 4].astype(np.int64),
         steps=env.steps[ids],
         trembles=env.trembles[ids],
         parts=env.totals[ids],

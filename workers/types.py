@@ -30,6 +30,16 @@ class Thresholds:
     """How many times the curriculum has cut them."""
     shares: tuple = ()
     """Cumulative shares of the cells that `task.focus` draws from; empty without."""
+    groups: tuple = ()
+    """(d^rp, d^kp, d^q, d^rq, tightenings) of every group of tasks, in `MotionLibrary.groups`' order, where the
+    curriculum keeps more than one (`curriculum.scope`); the fields above are then the loosest. Empty: all alike."""
+
+    def of(self, group):
+        """(N, 5) float64: d^rp, d^kp, d^q, d^rq and tightenings for the tasks of the groups numbered `group` (N,)."""
+        if self.groups:
+            return np.array(self.groups, dtype=np.float64)[group]
+        alike = (self.root_position, self.key_bodies, self.joint_rotation, self.heading, self.tightenings)
+        return np.tile(np.array(alike, dtype=np.float64), (len(group), 1))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.config import CurriculumConfig
-from orchestrator.curriculum import Curriculum, CurriculumState, final_tightenings, observe, thresholds
+from orchestrator.curriculum import Curriculum, CurriculumState, final_tightenings, observe, thresholds, tracks_of
 from workers.config import ReachConfig
 from workers.types import FELL, REACHED, TIMED_OUT
 
@@ -61,6 +61,68 @@ def test_any_sequence_of_outcomes_gives_the_references_thresholds(
         assert values(config, state) == pytest.approx(slow.thresholds, rel=1e-12)
         assert list(state.window) == slow.results or state.tightenings == 34
         assert state.iteration == iteration + 1
+
+
+@pytest.mark.parametrize("unit", ["iterations", "episodes"])
+@given(
+    seed=st.integers(0, 2**32 - 1), count=st.integers(1, 4), window=st.sampled_from([1, 3, 10]),
+    count_retained=st.booleans(),
+)  # fmt: skip
+def test_every_track_is_a_curriculum_of_its_own_episodes(unit, seed, count, window, count_retained):
+    """Several tracks side by side, of unlike skill, against as many references that see their own episodes alone."""
+    generator = np.random.default_rng(seed)
+    config = CurriculumConfig(window=window, window_unit=unit, count_retained=count_retained)
+    state = CurriculumState(tracks=(((), 0),) * count)
+    slow, skill = [reference.Curriculum(window, unit) for _ in range(count)], generator.uniform(0.8, 1.0, count)
+    for iteration in range(60):
+        track = generator.integers(count, size=generator.integers(0, 40))
+        hits, retained = generator.random(len(track)) < skill[track], generator.random(len(track)) < 0.3
+        judged_by = np.array([cuts for _, cuts in state.tracks])[track] if len(track) else 0
+        state = observe(state, config, outcomes(hits, judged_by, iteration, retained), track)
+        for k, one in enumerate(slow):
+            counted = (track == k) & (count_retained | ~retained)
+            one.iteration(hits[counted], one.tightenings)
+        assert [cuts for _, cuts in state.tracks] == [one.tightenings for one in slow]
+        for (entries, cuts), one in zip(state.tracks, slow, strict=True):
+            assert list(entries) == one.results or cuts == 34
+        assert state.tightenings == min(one.tightenings for one in slow) and state.window == ()
+    assert state.iteration == 60
+
+
+def test_a_runs_final_accuracy_is_that_of_its_last_track():
+    config = CurriculumConfig(window=1)
+    state = CurriculumState(tracks=(((), 33), ((), 32)))
+    for judged_by, reached_at in (([33, 32], None), ([34, 33], 2)):
+        state = observe(state, config, outcomes([True, True], np.array(judged_by)), np.array([0, 1]))
+        assert state.achieved_at == reached_at
+    assert state.tightenings == 34
+
+
+def test_scopes_put_groups_on_tracks():
+    groups = np.array([(0, 0), (0, 2), (3, 0), (1, 1), (3, 3)])
+    assert tracks_of("run", groups).tolist() == [0, 0, 0, 0, 0]
+    assert tracks_of("source", groups).tolist() == [0, 0, 2, 1, 2]
+    assert tracks_of("group", groups).tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("scope", ["source", "group"])
+def test_each_source_or_group_gets_the_thresholds_that_it_has_earned(scope, make_config, trajectories, library):
+    """Tasks from one clip reach their target, no others do: theirs alone are cut, and the run's are the loosest."""
+    ended = trajectories.chunks[0].outcomes
+    source = int(ended.task[0, 0])
+    end = np.where(ended.task[:, 0] == source, REACHED, FELL).astype(np.int8)
+    ended = replace(ended, end=end, retained=np.zeros(len(ended), dtype=bool), tightenings=np.zeros(len(ended), int))
+    config = make_config({"curriculum.scope": scope, "curriculum.window": 1})
+    curriculum = Curriculum(config)
+    limits, _ = curriculum.observe(ended)
+    met = set(map(tuple, ended.task[:, [0, 2]].astype(int).tolist()))
+    assert (end == FELL).any() and len(limits.groups) == len(library.groups)
+    for pair, row in zip(library.groups.tolist(), limits.groups, strict=True):
+        cut = pair[0] == source and (scope == "source" or tuple(pair) in met)
+        wanted = thresholds(config.curriculum, config.reach, int(cut))
+        assert row == (wanted.root_position, wanted.key_bodies, wanted.joint_rotation, np.inf, cut)
+    assert replace(limits, groups=()) == thresholds(config.curriculum, config.reach, 0)
+    assert Curriculum(config, curriculum.saved()).thresholds() == limits
 
 
 def test_the_achievement_rate_is_over_the_windows_episodes_not_a_mean_of_rates():

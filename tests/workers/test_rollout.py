@@ -72,6 +72,30 @@ def test_threads_change_no_number(threads, library, trajectories, make_policy, e
     assert_same_bits([chunks, state], [trajectories.chunks[:3], trajectories.states[3]])
 
 
+def test_every_task_is_judged_by_the_thresholds_of_its_group(library, trajectories, make_policy, easy, make_config):
+    """Thresholds that differ between groups: each environment's numbers are those under its own ones for all alike."""
+    config = make_config({"task.max_steps": 16, "task.stay_probability": 0.0, "reward.tremble_ramp": 3})
+    rollout = Rollout(config, library, 24, HORIZON, SEED)
+    state, policy = rollout.initial_state(0), make_policy()
+    strict = replace(easy, root_position=0.01, tightenings=2)
+    strict_groups = np.arange(len(library.groups)) % 2 == 1
+    rows = [strict.of(np.zeros(1))[0] if own else easy.of(np.zeros(1))[0] for own in strict_groups]
+    mixed = replace(easy, groups=tuple(tuple(row.tolist()) for row in rows))
+    chunk, _ = rollout.collect(state, policy, mixed)
+    own = strict_groups[library.group_of(state.task)]
+    alike = {False: rollout.collect(state, policy, easy)[0], True: rollout.collect(state, policy, strict)[0]}
+    reached = {False: 0, True: 0}
+    for i in range(24):
+        other = alike[bool(own[i])]
+        length = (np.flatnonzero(other.end[:, i]).tolist() or [HORIZON - 1])[0] + 1  # of the first episode
+        np.testing.assert_array_equal(chunk.end[:length, i], other.end[:length, i])
+        np.testing.assert_array_equal(chunk.reward[:length, i], other.reward[:length, i])
+        reached[bool(own[i])] += (other.end[:length, i] == REACHED).any()
+    assert reached[False] > reached[True]
+    ended = chunk.outcomes
+    np.testing.assert_array_equal(ended.tightenings, 2 * strict_groups[library.group_of(ended.task)])
+
+
 def test_judges_act_with_the_averaged_weights_and_nobody_else(library, trajectories, make_policy, easy):
     other = make_policy(seed=9)
     policy = replace(
