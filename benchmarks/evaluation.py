@@ -26,6 +26,7 @@ from learner.update import LearnerState
 from motion.state_machine import build_state_machine
 from orchestrator import settings
 from orchestrator.cluster import start_here
+from orchestrator.evaluation.episodes import Ladder
 from orchestrator.evaluation.evaluator import LEVELS, Evaluator
 from orchestrator.evaluation.pools import RayPool
 from orchestrator.evaluation.statistics import sums
@@ -43,10 +44,11 @@ class Timed(Evaluator):
     def measure(self, numbers):
         """(policy steps, CPU seconds)."""
         begun = time.process_time()
+        ladder = Ladder(self._rungs, len(numbers))
         outcomes = self._simulator.run(
-            self._grid.tasks(numbers), numbers, [self._levels[name] for name in LEVELS], self._log_sigma
+            self._grid.tasks(numbers), numbers, [self._levels[name] for name in LEVELS], self._log_sigma, ladder
         )
-        self._breakdown.count(outcomes[1], outcomes[0])
+        self._breakdown.count(outcomes[1], outcomes[0], ladder.met, len(self._rungs))
         total = sums(outcomes[1])
         return int(total[-3]), time.process_time() - begun
 

@@ -172,6 +172,9 @@ def conclude(out, content):
     widths = [max(map(len, column)) for column in zip(*lines)]
     for first, *rest in lines:
         print("  ".join([first.ljust(widths[0]), *(v.rjust(w) for v, w in zip(rest, widths[1:]))]))
+    rungs = content["by_accuracy"]
+    shares = (f"{rung['reached'] / content['tasks']:.1%} after {rung['tightenings']}" for rung in rungs[::5])
+    print(f"reached: {', '.join(shares)} of {rungs[-1]['tightenings']} cuts of the thresholds")
     worst = sorted((g for g in content["groups"] if g["tasks"]), key=lambda g: g["reached_trained"] / g["tasks"])[:3]
     names = content["states"]
     print("worst:   " + ", ".join(

@@ -56,11 +56,12 @@ class Simulator:
         self._config, self._library, self._policy, self._threads = judged_config(config), library, policy, threads
         self._env = None
 
-    def run(self, tasks, number, levels, log_sigma):
+    def run(self, tasks, number, levels, log_sigma, ladder=None):
         """A list of one `Outcomes` per level of `levels` (`Thresholds`, loosest first), each ordered as the tasks.
 
         tasks: (M, 4), one episode each; number: (M,) int64, each task's number in the grid, which names its noise and
-        is `Outcomes.environment`. Neither the number of simulations nor that of threads changes a bit.
+        is `Outcomes.environment`. ladder: a `Ladder` to fill, or None. Neither the number of simulations nor that of
+        threads changes a bit.
         """
         count = min(self._config.evaluation.num_envs, len(tasks))
         if self._env is None or self._env.num_envs < count:
@@ -90,6 +91,8 @@ class Simulator:
             env.step(action, levels[-1], active)
             for note in notes:
                 note.look(env, active)
+            if ladder:
+                ladder.look(env, active, place[active])
             over = env.end[active] != 0
             fresh = active[over]
             if len(fresh):
@@ -108,11 +111,34 @@ def run_tasks(config, library, policy, tasks, limits, log_sigma, number=None, th
     return Simulator(config, library, policy, threads).run(tasks, number, [limits], log_sigma)[0]
 
 
+class Ladder:
+    """How far down a ladder of thresholds each task's episode came at any of its steps.
+
+    met: (M,) int64, rungs whose thresholds it met, 0 to len(rungs): rung n was reached where met > n.
+    """
+
+    def __init__(self, rungs, tasks):
+        """rungs: `Thresholds`, each tighter than the one before and none tighter than those that end the episodes."""
+        self._limits = np.array([_limits(rung) for rung in rungs])
+        self.met = np.zeros(tasks, dtype=np.int64)
+
+    def look(self, env, active, place):
+        """Note how far the active rows, which play the tasks `place`, have come with this step."""
+        deviations = env.deviations[active[:, None], _JUDGED]
+        near = (deviations[:, None] < self._limits).all(axis=2).sum(axis=1)
+        near[env.end[active] == FELL] = 0  # a fall goes before a reach
+        self.met[place] = np.maximum(self.met[place], near)
+
+
+def _limits(level):
+    return [level.root_position, level.key_bodies, level.joint_rotation, level.heading]
+
+
 class _Notes:
     """What each row's episode was when it first met one of the looser levels."""
 
     def __init__(self, rows, level):
-        self._limits = np.array([level.root_position, level.key_bodies, level.joint_rotation, level.heading])
+        self._limits = np.array(_limits(level))
         self.met = np.zeros(rows, dtype=bool)
         self.steps, self.trembles = np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64)
         self.parts, self.deviations = np.zeros((rows, NUM_PARTS)), np.zeros((rows, len(DEVIATIONS)))

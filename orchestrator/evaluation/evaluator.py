@@ -6,7 +6,7 @@ import numpy as np
 
 from motion.state_machine import build_state_machine
 from orchestrator.curriculum import final_tightenings, thresholds
-from orchestrator.evaluation.episodes import Simulator
+from orchestrator.evaluation.episodes import Ladder, Simulator
 from orchestrator.evaluation.failures import failures_of
 from orchestrator.evaluation.statistics import Breakdown, sums
 from orchestrator.tasks import TaskGrid
@@ -37,6 +37,11 @@ def levels(config, tightenings):
     return {name: thresholds(config.curriculum, config.reach, cuts[name]) for name in LEVELS}
 
 
+def rungs(config):
+    """`Thresholds` of the whole curriculum: after 0, 1, ... cuts, to the final accuracy."""
+    return [thresholds(config.curriculum, config.reach, n) for n in range(final_tightenings(config.curriculum) + 1)]
+
+
 class Evaluator:
     """A policy, the grid, and simulations. Its results depend on nothing but its arguments, without `threads`."""
 
@@ -44,7 +49,7 @@ class Evaluator:
         """config: the run's `Config`; policy: `workers.types.Policy`; tightenings: cuts that training reached."""
         library = build_library(build_state_machine(config.motions))
         self._log_sigma = config.evaluation.log_sigma
-        self._levels = levels(config, tightenings)
+        self._levels, self._rungs = levels(config, tightenings), rungs(config)
         self._simulator = Simulator(config, library, policy, threads)
         self._grid = TaskGrid(library, config.evaluation)
         self._breakdown = Breakdown(library)
@@ -63,14 +68,18 @@ class Evaluator:
         """
         numbers = self.numbers(index)
         tasks, limits = self._grid.tasks(numbers), list(self._levels.values())
-        noise = self._simulator.run(tasks, numbers, limits, self._log_sigma)
+        ladder = Ladder(self._rungs, len(tasks))
+        noise = self._simulator.run(tasks, numbers, limits, self._log_sigma, ladder)
         calm = self._simulator.run(tasks, numbers, limits, -math.inf)
         return {
             "sums": {
                 name: {level: sums(episodes).tolist() for level, episodes in zip(LEVELS, result, strict=True)}
                 for name, result in (("noise", noise), ("deterministic", calm))
             },
-            "counts": {name: array.tolist() for name, array in self._breakdown.count(noise[1], noise[0]).items()},
+            "counts": {
+                name: array.tolist()
+                for name, array in self._breakdown.count(noise[1], noise[0], ladder.met, len(self._rungs)).items()
+            },
             "failures": failures_of(noise[0], calm[0]),
             "failed": {level: _failed(episodes) for level, episodes in zip(LEVELS, noise, strict=True)},
         }

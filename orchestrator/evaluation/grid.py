@@ -7,7 +7,7 @@ import numpy as np
 from motion.errors import InputError
 from motion.state_machine import build_state_machine
 from orchestrator.evaluation import failures
-from orchestrator.evaluation.evaluator import LEVELS, levels, num_shards, shard_size
+from orchestrator.evaluation.evaluator import LEVELS, levels, num_shards, rungs, shard_size
 from orchestrator.evaluation.kept import Kept, key_of, shard_name
 from orchestrator.evaluation.pools import within_run
 from orchestrator.evaluation.robustness import Search, candidates, largest
@@ -82,7 +82,7 @@ def evaluate(config, subject, folder=None, make_pool=within_run, show=None):
             "max_tasks": config.evaluation.max_tasks, "whole": grid.whole,
         },
         "states": states,
-        **Breakdown(library).lists(total.counts),
+        **Breakdown(library).lists(total.counts, rungs(config)),
     }  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from learner.storage import replace_file
 from workers.config import EnvConfig
 
-SCHEMA = 1  # to be raised when the same inputs give other numbers or another content of a shard
+SCHEMA = 2  # to be raised when the same inputs give other numbers or another content of a shard
 
 
 def key_of(config, subject, machine, levels, size):

@@ -48,28 +48,27 @@ def all_reached(total):
 
 
 class Breakdown:
-    """Counts of what became of tasks by group, by rotation and by the moment of the source clip."""
+    """Counts of what became of tasks by group, by rotation, by the moment of the source clip and by the accuracy."""
 
     def __init__(self, library):
         """library: `workers.library.MotionLibrary`."""
-        self._groups = np.asarray(library.groups)
-        states = len(library.cancel)
-        self._index = np.zeros((states, states), dtype=np.int64)
-        self._index[self._groups[:, 0], self._groups[:, 1]] = np.arange(len(self._groups))
+        self._library, self._groups = library, np.asarray(library.groups)
         self._rotation = np.array([library.rotation], dtype=np.float64)
         self._rotation_bins = _bins(self._rotation, ROTATION_BIN)
         self._cancel = np.asarray(library.cancel, dtype=np.float64)
         self._moment_bins = _bins(self._cancel, MOMENT_BIN)
 
-    def count(self, tight, loose):
+    def count(self, tight, loose, met, rungs):
         """{name: int64 array} of the same episodes judged at two accuracies; counts of shards are added.
 
+        met: (M,), as of an `episodes.Ladder` of so many rungs.
         groups: (G, 6), columns tasks, reached (tight), reached, steps, fell, timed out (loose). rotation, moment: a row
-        per bin, columns tasks, reached (tight), reached (loose).
+        per bin, columns tasks, reached (tight), reached (loose). accuracy: (rungs, S), tasks that reached each rung by
+        source clip.
         """
         tasks = tight.task
         source = tasks[:, 0].astype(np.int64)
-        group = self._index[source, tasks[:, 2].astype(np.int64)]
+        group = self._library.group_of(tasks)
         rotation = _bin(tasks[:, 3], self._rotation, self._rotation_bins, np.zeros(len(tasks), dtype=np.int64))
         moment = _bin(tasks[:, 1], self._cancel, self._moment_bins, source)
         reached = [np.ones(len(tasks), dtype=np.int64), tight.end == REACHED, loose.end == REACHED]
@@ -78,10 +77,11 @@ class Breakdown:
             "groups": _count(group, len(self._groups), [*reached, *ends]),
             "rotation": _count(rotation, int(self._rotation_bins.sum()), reached),
             "moment": _count(moment, int(self._moment_bins.sum()), reached),
+            "accuracy": _count(source, len(self._cancel), (met > np.arange(rungs)[:, None]).astype(np.int64)).T,
         }
 
-    def lists(self, counts):
-        """The lists `groups`, `by_rotation`, `by_moment` of evaluation.json (see docs/evaluation.md)."""
+    def lists(self, counts, rungs):
+        """The lists `groups`, `by_rotation`, ... of evaluation.json (see docs/evaluation.md). rungs: `Thresholds`."""
         names = ("tasks", "reached", "reached_trained", "steps", "fell", "timed_out")
         groups = []
         for (source, target), row in zip(self._groups.tolist(), counts["groups"].tolist(), strict=True):
@@ -99,7 +99,14 @@ class Breakdown:
                 _edges(self._cancel, self._moment_bins), counts["moment"].tolist(), strict=True
             )
         ]
-        return {"groups": groups, "by_rotation": by_rotation, "by_moment": by_moment}
+        by_accuracy = [
+            {
+                "tightenings": rung.tightenings, "reached": sum(row), "reached_by_source": row,
+                "thresholds": [rung.root_position, rung.key_bodies, rung.joint_rotation],
+            }
+            for rung, row in zip(rungs, counts["accuracy"].tolist(), strict=True)
+        ]  # fmt: skip
+        return {"groups": groups, "by_rotation": by_rotation, "by_moment": by_moment, "by_accuracy": by_accuracy}
 
 
 def _bins(ranges, width):

@@ -150,7 +150,7 @@ class Show:
 
 
 def draw_curves(sweep):
-    """{name: SVG}: Fig. 4 as return-AXIS and reductions-AXIS, and `rotation` where it is known."""
+    """{name: SVG}: Fig. 4 as return-AXIS and reductions-AXIS, `rotation` and `accuracy` where they are known."""
     out = {}
     config = sweep.runs[0].config
     for quantity in curves.QUANTITIES:
@@ -161,4 +161,7 @@ def draw_curves(sweep):
     turns = [(sweep.methods[row], heat.turns(runs)) for row, runs in sweep.rows.items()]
     if any(bins for _, bins in turns):
         out["rotation"] = charts.by_rotation("rotation", turns)
+    accuracies = [(sweep.methods[row], heat.accuracies(runs)) for row, runs in sweep.rows.items()]
+    if any(points for _, points in accuracies):
+        out["accuracy"] = charts.by_accuracy("accuracy", accuracies)
     return out

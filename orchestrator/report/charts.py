@@ -65,6 +65,20 @@ def by_rotation(name, rows):
     return out["svg"]
 
 
+def by_accuracy(name, rows):
+    """Share of tasks reached at all thresholds. rows: [(label, `heat.accuracies`)]."""
+    with drawing(COLOURS, name, "Share of tasks reached against the thresholds", 4.6, 2.7) as (_, axis, out):
+        for number, (label, points) in enumerate(rows):
+            if points:
+                axis.plot(*zip(*points), label=label, **line_style(number))
+                axis.set_xlim(0, points[-1][0])
+        axis.set_xlabel("reductions of the thresholds (right end: final accuracy)")
+        axis.set_ylabel("share of tasks reached")
+        axis.set_ylim(0, 1.02)
+        axis.grid(lw=0.6)
+    return out["svg"]
+
+
 def count(value):
     """A number of samples in short: 0, 500k, 2M, 4G."""
     for limit, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):

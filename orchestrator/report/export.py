@@ -16,8 +16,8 @@ WIDER = 1.4  # times as large as in the page
 def export(folder, sweep, films, pictures):
     """Write them into `folder`, made if it is not there; returns their paths. InputError if it cannot be written.
 
-    Names: return-AXIS.svg, reductions-AXIS.svg, rotation.svg, stripN-METHOD, videoN, worstN (.webp, or .svg for stick
-    figures). sweep: `data.SweepData`; films: `assembly.Films`; pictures: {name: SVG}.
+    Names: return-AXIS.svg, reductions-AXIS.svg, rotation.svg, accuracy.svg, stripN-METHOD, videoN, worstN (.webp, or
+    .svg for stick figures). sweep: `data.SweepData`; films: `assembly.Films`; pictures: {name: SVG}.
     """
     folder = Path(folder).expanduser()
     check_writable(folder)

@@ -32,6 +32,17 @@ def turns(runs):
     return [{"low": low, "high": high, **total} for (low, high), total in sums.items()]
 
 
+def accuracies(runs):
+    """[(cuts of the thresholds, share of all tasks reached there)] over a row's runs; [] if none of them has it."""
+    reached, tasks = {}, 0
+    for run in runs:
+        if run.evaluation and "by_accuracy" in run.evaluation:
+            tasks += run.evaluation["tasks"]
+            for entry in run.evaluation["by_accuracy"]:
+                reached[entry["tightenings"]] = reached.get(entry["tightenings"], 0) + entry["reached"]
+    return [(cuts, count / tasks) for cuts, count in reached.items()]
+
+
 def matrix(title, found, key):
     """Source x target of `groups`. key: reached or reached_trained."""
     names = list(dict.fromkeys(entry["source"] for entry in found))

@@ -25,7 +25,7 @@ def page(sweep, films, pictures, notes):
     sweep: `data.SweepData`. films: `assembly.Films`. pictures: {name: SVG} of `assembly.draw_curves`. notes: what is
     missing, lines of text.
     """
-    sections = [head(sweep), results(sweep), training(sweep, pictures)]
+    sections = [head(sweep), results(sweep), accuracy(sweep, pictures), training(sweep, pictures)]
     sections += [*strips(films), *videos(films), *failures(sweep, pictures), *baselines(sweep), environment(sweep)]
     if notes:
         lines = "".join(f"<li>{escape(note)}</li>" for note in notes)
@@ -47,6 +47,15 @@ def head(sweep):
 
 def results(sweep):
     return f"<h2>Results</h2>\n{table.fragment(sweep.table)}"
+
+
+def accuracy(sweep, pictures):
+    """Between both tables: the share reached at every accuracy; nothing without its picture."""
+    if "accuracy" not in pictures:
+        return ""
+    words = "Share of the evaluation's tasks that came below the thresholds after so many reductions, with noise."
+    picture = figure(pictures["accuracy"], words)
+    return f"<h3>From the first thresholds to the final accuracy</h3>\n{legend(sweep)}{picture}"
 
 
 def training(sweep, pictures):

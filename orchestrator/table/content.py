@@ -17,7 +17,7 @@ PARTS = {
 }
 COMPARED = {"measured": "", "trained": "trained_"}  # parts with intervals and marks, and the prefixes of their keys
 FEW = 10  # runs below which the interval holds the mean in less than 90 % of cases (docs/table.md)
-BULKY = ("states", "groups", "by_rotation", "by_moment")  # of an evaluation: not the table's
+BULKY = ("states", "groups", "by_rotation", "by_moment", "by_accuracy")  # of an evaluation: not the table's
 
 
 def collect(runs, failures):

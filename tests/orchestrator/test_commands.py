@@ -1,4 +1,4 @@
-"""The commands `python -m orchestrator.sweep` and `... .train` as a user runs them: bad input, help, failure, a stop."""
+"""`python -m orchestrator.sweep` and `... .train` as a user runs them: bad input, help, failure, a stop."""
 
 import signal
 import time

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from learner import checkpoint
+from learner.checkpoint import SCHEMA
 from motion.errors import InputError
 from orchestrator import settings
 from orchestrator.evaluate import evaluate_run, main
@@ -207,7 +208,7 @@ def test_a_checkpoint_of_a_schema_to_come_or_with_a_turned_bit_is_one_line(run):
     path = run / "checkpoints/00000002.pt"
     data = path.read_bytes()
     for broken, words in (
-        (data.replace(b"schema 3", b"schema 9", 1), "schema 9; this version reads up to"),
+        (data.replace(b"schema %d" % SCHEMA, b"schema 9", 1), "schema 9; this version reads up to"),
         (data[:-1] + bytes([data[-1] ^ 1]), "wrong checksum"),
         (b"", "not a readable checkpoint"),
     ):

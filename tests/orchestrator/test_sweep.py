@@ -99,17 +99,17 @@ def test_mlflow_has_the_rows_as_children_under_one_parent(sweep):
     files = {file.path for file in client.list_artifacts(parent.info.run_id)}
     assert files >= {f"table.{suffix}" for suffix in ("md", "csv", "tex", "html", "json")}
     assert parent.data.tags["mlflow.note.content"].startswith("| Method ")
-    for run in runs.values():
-        assert run.data.tags["mlflow.parentRunId"] == parent.info.run_id
-        assert run.info.status == "FINISHED"
-        assert run.data.params["num_envs"] == "8" and run.data.params["budget.iterations"] == "4"
-        assert (run.data.tags["row"], run.data.tags["seed"]) == tuple(run.info.run_name.split("-seed"))
-        assert run.data.tags["scale"] == "smoke"
-        assert [m.step for m in client.get_metric_history(run.info.run_id, "iteration")] == [1, 2, 3, 4]
-        assert not [name for name in NAMED if name not in run.data.metrics]
-        assert "eval/FRPD" in run.data.metrics and "trained/TTAR" in run.data.metrics
-        assert "system/cpu_utilization_percentage" in run.data.metrics
-        files = {file.path for file in client.list_artifacts(run.info.run_id)}
+    for child in runs.values():
+        assert child.data.tags["mlflow.parentRunId"] == parent.info.run_id
+        assert child.info.status == "FINISHED"
+        assert child.data.params["num_envs"] == "8" and child.data.params["budget.iterations"] == "4"
+        assert (child.data.tags["row"], child.data.tags["seed"]) == tuple(child.info.run_name.split("-seed"))
+        assert child.data.tags["scale"] == "smoke"
+        assert [m.step for m in client.get_metric_history(child.info.run_id, "iteration")] == [1, 2, 3, 4]
+        assert not [name for name in NAMED if name not in child.data.metrics]
+        assert "eval/FRPD" in child.data.metrics and "trained/TTAR" in child.data.metrics
+        assert "system/cpu_utilization_percentage" in child.data.metrics
+        files = {file.path for file in client.list_artifacts(child.info.run_id)}
         assert {"config.yaml", "evaluation.json", "checkpoints"} <= files
 
 

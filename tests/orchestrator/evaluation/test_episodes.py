@@ -9,7 +9,7 @@ import reference
 
 from orchestrator.config import EvaluationConfig
 from orchestrator.evaluation import episodes as module
-from orchestrator.evaluation.episodes import Simulator, run_tasks
+from orchestrator.evaluation.episodes import Ladder, Simulator, run_tasks
 from orchestrator.evaluation.replay import record
 from orchestrator.evaluation.statistics import columns, sums
 from orchestrator.tasks import TaskGrid
@@ -61,6 +61,19 @@ def test_one_simulation_gives_what_one_per_accuracy_gives(
     ends = {(int(a), int(b)) for a, b in zip(together[1].end, together[3].end)}
     assert {(REACHED, FELL), (REACHED, TIMED_OUT), (FELL, FELL)} <= ends, ends
     assert (together[0].steps == 1).all() and (together[1].steps < together[2].steps).any()
+
+
+def test_a_ladder_tells_which_thresholds_an_episode_of_its_own_would_have_met(
+    library, make_config, nothing, tasks, numbers
+):
+    rungs = [Thresholds(0.5 * s, 5 * s, 1.5 * s, heading=2 * s) for s in (2.0, 1.0, 0.9, 0.8, 0.7, 0.6, 0.4, 0.2)]
+    config = make_config({"task.max_steps": 30, "action.mode": "target"})
+    ladder = Ladder(rungs, len(tasks))
+    Simulator(config, library, nothing).run(tasks, numbers, [rungs[-1]], -2.0, ladder)
+    for n, rung in enumerate(rungs):
+        alone = run_tasks(config, library, nothing, tasks, rung, -2.0, numbers)
+        np.testing.assert_array_equal(ladder.met > n, alone.end == REACHED)
+    assert len(set(ladder.met)) > 3, ladder.met
 
 
 @pytest.mark.parametrize("policy_name", ["nothing", "random"])

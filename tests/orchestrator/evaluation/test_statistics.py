@@ -1,13 +1,13 @@
 """Sums that add up shard by shard, columns as plain means, counts by group, rotation and moment."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from orchestrator.evaluation.statistics import Breakdown, all_reached, columns, sums
-from workers.types import FELL, REACHED, REWARD_PARTS, TIMED_OUT, Outcomes
+from workers.library import MotionLibrary
+from workers.types import FELL, REACHED, REWARD_PARTS, TIMED_OUT, Outcomes, Thresholds
 
 
 def outcomes_of(tasks, seed=0):
@@ -22,10 +22,12 @@ def outcomes_of(tasks, seed=0):
     )  # fmt: skip
 
 
-LIBRARY = SimpleNamespace(
+LIBRARY = MotionLibrary(
+    qpos=None, qvel=None, first=None, frames=np.array([9, 9]), fps=None, start=None,
     groups=np.array([[0, 0], [0, 1], [1, 0]]), cancel=np.array([[0.2, 0.75], [1.0, 1.0]]),
     rotation=np.array([-math.pi / 2, math.pi / 2]),
 )  # fmt: skip
+RUNGS = [Thresholds(0.9**n, 2 * 0.9**n, 3 * 0.9**n, tightenings=n) for n in range(5)]
 
 
 def random_tasks(count, seed=1):
@@ -58,16 +60,25 @@ def test_the_tables_columns_are_plain_means_over_the_episodes():
     assert all_reached(sums(episodes.take(np.flatnonzero(episodes.end == REACHED))))
 
 
-def test_counts_by_group_rotation_and_moment_are_those_of_a_loop_over_the_tasks():
+def test_counts_by_group_rotation_moment_and_accuracy_are_those_of_a_loop_over_the_tasks():
     tasks = random_tasks(300)
     tasks[:, 3] = np.random.default_rng(3).choice(np.radians(np.arange(-90, 91, 2)), 300)
     tight, loose = outcomes_of(tasks, 1), outcomes_of(tasks, 2)
     breakdown = Breakdown(LIBRARY)
-    halves = [breakdown.count(*(o.take(np.arange(a, a + 150)) for o in (tight, loose))) for a in (0, 150)]
+    met = np.random.default_rng(4).integers(0, 6, 300)
+
+    def count(part):
+        return breakdown.count(tight.take(part), loose.take(part), met[part], len(RUNGS))
+
+    halves = [count(np.arange(a, a + 150)) for a in (0, 150)]
     counts = {name: halves[0][name] + halves[1][name] for name in halves[0]}
-    for name, array in breakdown.count(tight, loose).items():
+    for name, array in count(np.arange(300)).items():
         np.testing.assert_array_equal(array, counts[name])
-    lists = breakdown.lists(counts)
+    lists = breakdown.lists(counts, RUNGS)
+    for n, entry in enumerate(lists["by_accuracy"]):
+        assert entry["tightenings"] == n and entry["thresholds"] == [0.9**n, 2 * 0.9**n, 3 * 0.9**n]
+        assert entry["reached_by_source"] == [sum(met[tasks[:, 0] == source] > n) for source in (0, 1)]
+        assert entry["reached"] == sum(entry["reached_by_source"])
     assert [(g["source"], g["target"]) for g in lists["groups"]] == [(0, 0), (0, 1), (1, 0)]
     for g in lists["groups"]:
         own = (tasks[:, 0] == g["source"]) & (tasks[:, 2] == g["target"])
@@ -94,4 +105,4 @@ def test_counts_by_group_rotation_and_moment_are_those_of_a_loop_over_the_tasks(
 def test_a_group_without_a_task_in_the_subset_has_no_mean():
     breakdown = Breakdown(LIBRARY)
     none = outcomes_of(np.zeros((0, 4)))
-    assert breakdown.lists(breakdown.count(none, none))["groups"][1]["steps"] is None
+    assert breakdown.lists(breakdown.count(none, none, np.zeros(0, int), 5), RUNGS)["groups"][1]["steps"] is None

@@ -105,6 +105,11 @@ def test_the_columns_are_those_of_all_episodes_at_once(whole, config, subject, l
     }  # fmt: skip
     for name in ("groups", "by_rotation", "by_moment"):
         assert sum(entry["tasks"] for entry in content[name]) == TASKS
+    rungs = content["by_accuracy"]
+    for level, rung in (("trained", rungs[0]), ("metrics", rungs[-1])):
+        assert rung["thresholds"] == content[f"{level}_thresholds"]
+        assert rung["reached"] == round(content[level]["TTAR"] * TASKS)
+    assert [rung["tightenings"] for rung in rungs] == list(range(content["final_tightenings"] + 1))
 
 
 def test_every_failed_task_is_listed_with_its_passes(whole, config, subject, library):
@@ -265,7 +270,7 @@ def test_memory_does_not_grow_with_the_grid(config, subject, library, tmp_path, 
     """Twice as many tasks in shards that are no larger: the same peak."""
     monkeypatch.setattr(kept, "replace_file", lambda path, data: path.write_bytes(data))  # without waiting for the disk
     peaks, counts = [], []
-    empty = {"groups": [[0] * 6] * 9, "rotation": [[0] * 3] * 12, "moment": [[0] * 3] * 46}
+    empty = {"groups": [[0] * 6] * 9, "rotation": [[0] * 3] * 12, "moment": [[0] * 3] * 46, "accuracy": [[0] * 3] * 35}
     for name, turn in (("small", 0.0043), ("large", 0.0043 / 2)):
         evaluation = replace(config.evaluation, max_tasks=0, rotation_spacing=turn)
         changed = replace(config, evaluation=evaluation)

@@ -32,12 +32,16 @@ def evaluation(tightenings, share):
         {"source": a, "low": 0.5 * i, "high": 0.5 * i + 0.5, "tasks": 30, "reached": 0, "reached_trained": 10 * i}
         for a in range(3) for i in range(3)
     ]  # fmt: skip
+    rungs = [
+        {"tightenings": n, "thresholds": [0.3, 3.0, 1.0], "reached": 180 - 5 * n, "reached_by_source": [60] * 3}
+        for n in range(35)
+    ]
     return {
         "checkpoint": "00000040.pt", "samples": 2560, "iterations": 40, "tasks": 180, "tightenings": tightenings,
         "final_tightenings": 34, "log_sigma": -3.7, "metrics": metrics, "trained": metrics | {"TTAR": share},
         "deterministic": metrics, "trained_deterministic": metrics, "metrics_thresholds": [0.01, 0.09, 0.15],
         "trained_thresholds": [0.3, 3.0, 1.0], "states": list(STATES), "groups": groups, "by_rotation": bins,
-        "by_moment": moments,
+        "by_moment": moments, "by_accuracy": rungs,
         "grid": {"moment_spacing": 0.03, "rotation_spacing": 0.03, "max_tasks": 180, "whole": 5000},
     }  # fmt: skip
 
