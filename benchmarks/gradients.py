@@ -113,7 +113,7 @@ def of_ppo(state, chunk):
     mean, action = state.policy(inputs[rows]), torch.as_tensor(chunk.action.reshape(samples, -1))[rows]
     loss, _, _ = ppo.policy_loss(
         mean, action, mean.detach(), mean.detach(), (advantage - advantage.mean()) / advantage.std(),
-        math.exp(config.policy.log_sigma), config.ppo.clip,
+        math.exp(chunk.log_sigma), config.ppo.clip,
     )  # fmt: skip
     return gradient_of(loss, state.policy)
 

@@ -51,6 +51,7 @@ def snapshot(policy, average, normalizer, config, action_scale, version):
         noise_window=config.noise_window,
         judges=config.judges,
         judge_log_sigma=config.judge_log_sigma - math.log(action_scale),
+        sigma_factor=config.sigma_factor,
         average_weights=average_weights,
         average_biases=average_biases,
     )

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation with a Gaussian policy of fixed deviation (section 5)."""
+"""Proximal policy optimisation with a Gaussian policy whose deviation is given, not learned (section 5)."""
 
 import math
 
@@ -9,7 +9,7 @@ _LOG_WEIGHT = math.log(2.0)  # of the weight of a sample in the pipelined loss
 
 
 def log_probability(action, mean, sigma):
-    """Log density (n,) of actions (n, 31) up to a constant, which cancels in ratios as sigma is fixed."""
+    """Log density (n,) of actions (n, 31) up to a constant, which cancels in ratios as sigma is the same."""
     return -((action - mean) ** 2).sum(dim=-1) / (2 * sigma**2)
 
 

@@ -104,7 +104,7 @@ def update(state, chunks):
     used = advantage[tensor(explored)]
     advantage = (advantage - used.mean()) / (used.std(correction=0) + 1e-8)
 
-    sigma = math.exp(config.policy.log_sigma)
+    sigma = math.exp(chunk.log_sigma)
     batches = -(-len(explored) // config.ppo.minibatch_size)
     demonstrator = _Demonstrator(state, chunk, config.sbc.batch_size or -(-len(explored) // batches))
     shuffle = _generator(state, _SHUFFLE)
@@ -133,6 +133,7 @@ def update(state, chunks):
             steps += 1
     metrics = {name: float(total) / steps for name, total in sums.items()}
     metrics["policy/learning_rate"] = state.learning_rate
+    metrics["policy/sigma"] = sigma * state.action.scale
     metrics["value/error"] = value_error
     metrics["sbc/valid_pairs"] = demonstrator.valid_share
     # after the epochs, so that they see observations as the acting policy did
@@ -166,6 +167,7 @@ def concatenate_chunks(chunks):
         final_observation=np.concatenate([chunk.final_observation for chunk in chunks])[order],
         outcomes=concatenate_outcomes(outcomes),
         version=chunks[0].version,
+        log_sigma=chunks[0].log_sigma,
         **{
             name: np.concatenate([getattr(chunk, name) for chunk in chunks], axis=1)
             for name in ("observation", "action", "mean", "reward", "end", "pose", "next_pose", "pd_target")

@@ -66,6 +66,7 @@ RULES = {
     "policy.noise_window": at_least(1),
     "policy.judges": ("0 or at least 2", lambda v: v == 0 or v >= 2),
     "policy.judge_log_sigma": FINITE,
+    "policy.sigma_factor": ("above 0, at most 1", lambda v: 0 < v <= 1),
     "policy.average": ("from 0 to below 1", lambda v: 0 <= v < 1),
     "ppo.gamma": PROBABILITY,
     "ppo.gae_lambda": PROBABILITY,

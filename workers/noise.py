@@ -15,12 +15,16 @@ class ActionNoise:
     their own, as in the evaluation.
     """
 
-    def __init__(self, policy, seed, environment, clock):
-        """environment: (N,) int64, indices in the run. clock: policy steps since the start of the run."""
+    def __init__(self, policy, seed, environment, clock, log_sigma=None):
+        """environment: (N,) int64, indices in the run. clock: policy steps since the start of the run.
+
+        log_sigma: of those that explore, in units of the policy's output; default: the policy's.
+        """
+        log_sigma = policy.log_sigma if log_sigma is None else log_sigma
         n, window = len(environment), policy.noise_window
         self._seed, self._environment, self._clock = seed, environment, clock
         self._judging = np.flatnonzero(judging(environment, policy.judges))
-        self._sigma = np.full((n, 1), np.exp(policy.log_sigma), dtype=np.float32)
+        self._sigma = np.full((n, 1), np.exp(log_sigma), dtype=np.float32)
         self._sigma[self._judging] = np.exp(policy.judge_log_sigma)
         self._draws = np.empty((window, n, NUM_DOF))  # x_t lies in row t modulo the window
         for earlier in range(clock - window + 1, clock):

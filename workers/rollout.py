@@ -39,7 +39,8 @@ class Rollout:
         judge_network = PolicyNetwork(policy.averaged(), len(judges)) if len(judges) else None
         # judges draw all tasks alike, as the evaluation does
         focus = np.where(judged, 0.0, env.config.task.focus)
-        noise = ActionNoise(policy, self._seed, index, clock)
+        log_sigma = policy.exploring_log_sigma(thresholds.tightenings)
+        noise = ActionNoise(policy, self._seed, index, clock, log_sigma)
 
         observation = new_observations(horizon, n)
         action = np.empty((horizon, n, NUM_DOF), dtype=np.float32)
@@ -84,6 +85,7 @@ class Rollout:
             pd_target=pd_target,
             outcomes=concatenate_outcomes(ended),
             version=policy.version,
+            log_sigma=log_sigma,
         )
         return chunk, env.save(index, episode, clock)
 

@@ -9,6 +9,7 @@ are left as they were. N is the number of environments of one worker, T the hori
 index in the whole run, so their random numbers, and hence all numbers, do not depend on how workers share them.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,7 +51,8 @@ class Policy:
     observation_mean, observation_scale: (282,); the network sees clip((s - mean) * scale, -10, 10).
     log_sigma: log standard deviation of every action dimension.
     version: number of updates that made it.
-    noise_window, judges, judge_log_sigma: how it explores; see `learner.config.PolicyConfig` and `workers.noise`.
+    noise_window, judges, judge_log_sigma, sigma_factor: how it explores; see `learner.config.PolicyConfig` and
+    `workers.noise`; judge_log_sigma is in units of the network's output, as log_sigma.
     average_weights, average_biases: as weights and biases, their running average; empty if none is kept.
     """
 
@@ -65,6 +67,14 @@ class Policy:
     judge_log_sigma: float = -3.7
     average_weights: tuple = ()
     average_biases: tuple = ()
+    sigma_factor: float = 1.0
+
+    def exploring_log_sigma(self, tightenings):
+        """Log standard deviation of exploring environments' actions after so many cuts of the thresholds."""
+        if self.sigma_factor == 1.0:
+            return self.log_sigma
+        smallest = min(self.log_sigma, self.judge_log_sigma)
+        return max(self.log_sigma + tightenings * math.log(self.sigma_factor), smallest)
 
     def averaged(self):
         """The policy that judging environments act with and that is evaluated: of the averaged weights, if any."""
@@ -178,7 +188,7 @@ class Chunk:
     pose: (T, N, 84), qpos and qvel before the step. next_pose: (T, N, 84), after it, before any reset.
     pd_target: (T, N, 31), joint coordinates that the step's PD controllers aimed at.
     outcomes: the episodes that ended.
-    version: version of the policy that acted.
+    version: version of the policy that acted. log_sigma: log standard deviation of its actions but for judges'.
     """
 
     environment: np.ndarray
@@ -194,3 +204,4 @@ class Chunk:
     pd_target: np.ndarray
     outcomes: Outcomes
     version: int
+    log_sigma: float

@@ -354,8 +354,18 @@ def toy_chunk(policy, seed):
         environment=np.arange(n), observation=observation, action=action, mean=mean,
         reward=-((action - 0.3) ** 2).mean(axis=-1).astype(np.float32), end=np.full((steps, n), REACHED, dtype=np.int8),
         last_observation=observation[0], final_observation=observation.reshape(-1, 282), pose=still, next_pose=still,
-        pd_target=np.zeros_like(action), outcomes=nobody, version=policy.version,
+        pd_target=np.zeros_like(action), outcomes=nobody, version=policy.version, log_sigma=policy.log_sigma,
     )  # fmt: skip
+
+
+def test_ratios_are_those_of_the_noise_that_acted_whatever_the_configuration_says(make_config, assert_same_bits):
+    """A learner that starts from another sigma makes the same of a chunk: the curriculum may have made it smaller."""
+    states = []
+    for log_sigma in (-2.0, -1.0):
+        state = learner(make_config({"policy.log_sigma": log_sigma, "sbc.enabled": False}))
+        chunk = toy_chunk(replace(state.snapshot(), log_sigma=-2.0), 0)
+        states.append(update(state, [chunk])[0].state_dict())
+    assert_same_bits(*states)
 
 
 def test_a_toy_tasks_return_rises_which_a_frozen_network_cannot(make_config):

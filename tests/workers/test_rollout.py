@@ -191,6 +191,22 @@ def test_actions_are_the_networks_mean_plus_the_clocks_noise(trajectories, make_
     assert trajectories.states[4].clock == state.clock + HORIZON
 
 
+def test_tighter_thresholds_are_explored_with_less_noise_but_never_less_than_judges_have(
+    trajectories, make_policy, easy
+):
+    policy = replace(make_policy(version=3), sigma_factor=0.8, judges=3, judge_log_sigma=-2.0)
+    state = trajectories.states[3]
+    exploring = state.environment % 3 != 0
+    for tightenings, wanted in ((0, np.exp(-1.0)), (3, np.exp(-1.0) * 0.8**3), (34, np.exp(-2.0))):
+        chunk, _ = trajectories.rollout.collect(state, policy, replace(easy, tightenings=tightenings))
+        assert np.exp(chunk.log_sigma) == pytest.approx(wanted)
+        noise = np.empty((24, 31))
+        fill_normal(SEED, ACTION, state.environment, np.full(24, state.clock), noise)
+        got = chunk.action[0] - chunk.mean[0]
+        np.testing.assert_allclose(got[exploring], wanted * noise[exploring], atol=1e-5)
+        np.testing.assert_allclose(got[~exploring], np.exp(-2.0) * noise[~exploring], atol=1e-5)
+
+
 def test_outcomes_account_for_every_step_and_reward_of_their_episodes(trajectories):
     chunks = trajectories.chunks
     reward = np.concatenate([chunk.reward for chunk in chunks])
