@@ -1,4 +1,7 @@
-"""Learning curves of a sweep's runs from their metrics.jsonl: python docs/make_curves.py SWEEP_FOLDER OUT.png"""
+"""Learning curves of a sweep's runs from their metrics.jsonl: python docs/make_curves.py SWEEP_FOLDER OUT.png
+
+Where they have been evaluated, also the share of tasks that they reach at all thresholds.
+"""
 
 import json
 import sys
@@ -19,7 +22,9 @@ SMOOTH = 5  # iterations of the running mean
 
 def main(folder, out):
     """One panel per metric, one line per run."""
-    figure, axes = plt.subplots(1, len(PANELS), figsize=(12, 3.2), layout="constrained")
+    evaluations = sorted(Path(folder).glob("*/evaluation.json"))
+    count = len(PANELS) + bool(evaluations)
+    figure, axes = plt.subplots(1, count, figsize=(4 * count, 3.2), layout="constrained")
     for path in sorted(Path(folder).glob("*/metrics.jsonl")):
         lines = [json.loads(line) for line in path.read_text().splitlines()]
         samples = np.array([line["samples"] for line in lines]) / 1e6
@@ -29,6 +34,11 @@ def main(folder, out):
                 values = np.convolve(values, np.ones(SMOOTH) / SMOOTH, "valid")
             axis.plot(samples[-len(values) :], values, label=path.parent.name)
             axis.set(title=title, xlabel="samples (millions)")
+    for path in evaluations:
+        content = json.loads(path.read_text())
+        shares = [rung["reached"] / content["tasks"] for rung in content["by_accuracy"]]
+        axes[-1].plot(shares, label=path.parent.name)
+        axes[-1].set(title="share of tasks reached at n tightenings", xlabel="n (34: final accuracy)", ylim=(0, 1.02))
     for axis in axes:
         axis.grid(alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
