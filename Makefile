@@ -10,7 +10,7 @@ demo: $(VENV)/ready  ## the ablation sweep on the built-in clips, 6 minutes on 2
 
 test: $(VENV)/ready  ## the default suite
 	$(RUN) -m tests.compile
-	$(RUN) -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+	OMP_NUM_THREADS=1 $(RUN) -m pytest -n 3 --dist loadfile --no-loadscope-reorder  # three share the cores
 
 check: $(VENV)/ready  ## style
 	$(RUN) -m ruff check .

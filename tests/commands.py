@@ -12,7 +12,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 def start(module, folder, *arguments):
     """A command in a folder of its own, output into one pipe."""
     environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
-    for name in ("MLFLOW_TRACKING_URI", "RAY_ADDRESS"):
+    for name in ("MLFLOW_TRACKING_URI", "RAY_ADDRESS", "OMP_NUM_THREADS"):
         environment.pop(name, None)
     command = [sys.executable, "-m", f"orchestrator.{module}", *arguments]
     return subprocess.Popen(

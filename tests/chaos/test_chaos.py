@@ -24,11 +24,14 @@ def test_a_plan_is_a_function_of_its_seed_and_names_only_known_victims():
         # actors, one after the other and several at once
         [Kill(i, "worker", 0.02) for i in (10, 30, 30)]
         + [Kill(100, "worker", 0.0), Kill(100, "learner", 0.0), Kill(100, "curriculum", 0.0)],
-        # the command itself, and those that hold state
-        [
-            Kill(9, "learner", 0.01), Kill(20, "driver", 0.05), Kill(60, "driver, politely", 0.02),
-            Kill(90, "curriculum", 0.0), Kill(90, "worker", 0.0),
-        ],
+        # the command itself too, whose kill and stop test_sweep.py and test_commands.py hold
+        pytest.param(
+            [
+                Kill(9, "learner", 0.01), Kill(20, "driver", 0.05), Kill(60, "driver, politely", 0.02),
+                Kill(90, "curriculum", 0.0), Kill(90, "worker", 0.0),
+            ],
+            marks=pytest.mark.exhaustive,
+        ),
     ],
     ids=["actors", "commands"],
 )  # fmt: skip
