@@ -22,7 +22,9 @@ SMOOTH = 5  # iterations of the running mean
 
 def main(folder, out):
     """One panel per metric, one line per run."""
-    evaluations = sorted(Path(folder).glob("*/evaluation.json"))
+    paths = sorted(Path(folder).glob("*/evaluation.json"))
+    contents = {path.parent.name: json.loads(path.read_text()) for path in paths}
+    evaluations = {name: content for name, content in contents.items() if "by_accuracy" in content}  # not in older ones
     count = len(PANELS) + bool(evaluations)
     figure, axes = plt.subplots(1, count, figsize=(4 * count, 3.2), layout="constrained")
     for path in sorted(Path(folder).glob("*/metrics.jsonl")):
@@ -34,10 +36,9 @@ def main(folder, out):
                 values = np.convolve(values, np.ones(SMOOTH) / SMOOTH, "valid")
             axis.plot(samples[-len(values) :], values, label=path.parent.name)
             axis.set(title=title, xlabel="samples (millions)")
-    for path in evaluations:
-        content = json.loads(path.read_text())
+    for name, content in evaluations.items():
         shares = [rung["reached"] / content["tasks"] for rung in content["by_accuracy"]]
-        axes[-1].plot(shares, label=path.parent.name)
+        axes[-1].plot(shares, label=name)
         axes[-1].set(title="share of tasks reached at n tightenings", xlabel="n (34: final accuracy)", ylim=(0, 1.02))
     for axis in axes:
         axis.grid(alpha=0.3)

@@ -3,7 +3,7 @@
 A file is a line of text and a payload:
 
     segue checkpoint, schema 4, 79214 bytes, sha256 3f0c...
-    (torch.save of {"schema": 3, "content": ...}: tensors, numbers, strings, lists, dicts)
+    (torch.save of {"schema": 4, "content": ...}: tensors, numbers, strings, lists, dicts)
 
 so that a file that was cut off, or in which a bit has turned, is known as such before anything is made of it. Files of
 schema 1 are the payload alone. What each schema changed in the content stands at `_UPGRADES`.
@@ -145,7 +145,7 @@ def _from_schema_2(content):
 
 
 def _from_schema_3(content):
-    """Schema 4 may hold thresholds of every group of tasks, and the curriculum's tracks (both absent here)."""
+    """Schema 4 may hold thresholds of every group, the curriculum's tracks and `sigma_factor` (all absent here)."""
 
 
 # schema -> what turns its content, in place, into that of the next one

@@ -113,11 +113,13 @@ class Curriculum:
         """config: the run's `orchestrator.config.Config`; saved: what `saved()` gave, to continue from."""
         self._config = config
         self._state = saved or CurriculumState()
-        self._library = build_library(build_state_machine(config.motions))
-        self._track = tracks_of(config.curriculum.scope, self._library.groups)
+        scope = config.curriculum.scope
+        if config.task.focus or scope != "run":
+            self._library = build_library(build_state_machine(config.motions))
+            self._track = tracks_of(scope, self._library.groups)
         if config.task.focus and self._state.tally is None:
             self._state = replace(self._state, tally=focus.empty_tally(self._library))
-        if config.curriculum.scope != "run" and not self._state.tracks:
+        if scope != "run" and not self._state.tracks:
             self._state = replace(self._state, tracks=(((), 0),) * (self._track.max() + 1))
 
     def thresholds(self):

@@ -50,7 +50,7 @@ def results(sweep):
 
 
 def accuracy(sweep, pictures):
-    """Between both tables: the share reached at every accuracy; nothing without its picture."""
+    """What lies between the accuracies of the two tables; nothing without its picture."""
     if "accuracy" not in pictures:
         return ""
     words = "Share of the evaluation's tasks that came below the thresholds after so many reductions, with noise."
