@@ -92,6 +92,8 @@ class Progress:
         with self._lock:
             row = self._rows[name]
             row.state = state
+            if state == WAITING:
+                row.first = None  # the time until it starts again is not the run's
             if state == FAILED:
                 self.say(f"{name}: failed: {note}")
             elif not self._interactive:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from orchestrator import folder as run_folder
 from orchestrator.console import stopping
-from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING
+from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, WAITING
 
 FOLDER = ".tune"  # Ray Tune's own files, below the sweep's folder; nothing of ours is read from there
 
@@ -120,6 +120,11 @@ def make_watch(base, progress, folders):
                 self._fail(trial)
             elif not self.stopping:
                 progress.state(name, DONE)
+            self._left(trial)
+
+        def on_trial_recover(self, iteration, trials, trial, **info):
+            progress.say(f"{name_of(trial)}: its process died; goes on from its newest checkpoint when there is room")
+            progress.state(name_of(trial), WAITING)
             self._left(trial)
 
         def on_trial_error(self, iteration, trials, trial, **info):
