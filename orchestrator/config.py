@@ -22,6 +22,18 @@ class BudgetConfig:
 
 
 @dataclass
+class StartConfig:
+    """What a run begins with, other than fresh networks and the first thresholds."""
+
+    checkpoint: str | None = None
+    """A checkpoint, or the folder of a run for its newest one, whose learner this run begins with: networks, optimizers
+    and normalizers. Simulations and counters (schedules, too) begin anew, and clips may be others. Read once: the run
+    keeps a copy as its checkpoint 0. None: fresh networks."""
+    tightenings: int | None = None
+    """Tightenings of the thresholds to begin with; none: as many as the checkpoint had."""
+
+
+@dataclass
 class CurriculumConfig:
     """Shrinking thresholds (Eq. 16)."""
 
@@ -152,6 +164,7 @@ class Config(EnvConfig, LearnerConfig):
     pipeline_depth: int = 1
     """d: chunk k is collected with policy k - d. 0: learner and workers take turns; 1: they overlap."""
     budget: BudgetConfig = field(default_factory=BudgetConfig)
+    start: StartConfig = field(default_factory=StartConfig)
     curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
     faults: FaultsConfig = field(default_factory=FaultsConfig)

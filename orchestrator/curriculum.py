@@ -120,7 +120,7 @@ class Curriculum:
         if config.task.focus and self._state.tally is None:
             self._state = replace(self._state, tally=focus.empty_tally(self._library))
         if scope != "run" and not self._state.tracks:
-            self._state = replace(self._state, tracks=(((), 0),) * (self._track.max() + 1))
+            self._state = replace(self._state, tracks=(((), self._state.tightenings),) * (self._track.max() + 1))
 
     def thresholds(self):
         """The thresholds in force."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from learner import checkpoint
 from motion.state_machine import build_state_machine
-from orchestrator import faults
+from orchestrator import faults, start
 from orchestrator.curriculum import CurriculumState, final_tightenings
 from orchestrator.history import History
 from orchestrator.metrics import describe_thresholds
@@ -40,6 +40,11 @@ def train(config, folder, report=lambda metrics: None, stop=lambda: False, notic
     fault, reached, in_a_row = None, None, 0
     while True:
         saved, path = load_latest(folder, config)
+        if saved is None and config.start.checkpoint is not None:
+            content, source = start.content(config, clips)
+            checkpoint.save(place(folder, config), 0, content, config.checkpoint.keep)
+            notice(f"begins with the learner of {source}")
+            saved, path = load_latest(folder, config)
         if fault:
             where = f"goes on from the checkpoint of iteration {saved['iteration']}" if saved else "starts again"
             notice(f"{describe(fault)}; {where}")
@@ -68,12 +73,11 @@ class _Loop:
     def __init__(self, config, clips, folder, runtime, report, stop, saved):
         self._config, self._clips, self._folder, self._runtime = config, clips, folder, runtime
         self._report, self._stop = report, stop
-        if saved is None:
-            self._iteration = 0
+        self._iteration = saved["iteration"] if saved else 0
+        if not self._iteration:
             self._states, policy, thresholds = runtime.initial()
             self._policies, self._thresholds = [policy], [thresholds]
         else:
-            self._iteration = saved["iteration"]
             self._states, self._policies, self._thresholds = (
                 [runtime.handle(value) for value in saved[name]] for name in ("workers", "policies", "thresholds")
             )

@@ -28,7 +28,7 @@ def content_of(config, clips, iteration, learner, curriculum, workers, policies,
     """
     return {
         "iteration": iteration,
-        "config": _numbers_of(config),
+        "config": numbers_of(config),
         "clips": clips,
         "learner": learner,
         "curriculum": asdict(curriculum),
@@ -44,7 +44,7 @@ def policy_content(saved, config):
     It has the policy that is evaluated, where the curriculum stood, the clips' hash and a configuration to evaluate it
     with. saved: as from `load_latest`. config: the run's.
     """
-    other = (*run_folder.FREE, "device", "motions.dir")  # and no paths
+    other = (*run_folder.FREE, "device", "motions.dir", "start.")  # and no paths
     return {
         "iteration": saved["iteration"],
         "config": {key: value for key, value in flatten(asdict(config)) if not key.startswith(other)},
@@ -103,7 +103,7 @@ def check_same_run(saved, config, clips, path):
     if saved["parts"][0] is None:
         raise InputError(f"{path}: holds a policy to use, not the state of a run; choose another out=")
     check_same_clips(saved["clips"], clips, path)
-    wanted = _numbers_of(config)
+    wanted = numbers_of(config)
     for key, value in saved["config"].items():
         if key in wanted and wanted[key] != value:
             raise InputError(
@@ -121,7 +121,7 @@ def check_same_clips(trained, clips, path):
         )
 
 
-def _numbers_of(config):
+def numbers_of(config):
     """{dotted key: value} of the keys that the numbers of a run's training depend on."""
     other = (*run_folder.FREE, *run_folder.BUDGET, *run_folder.EVALUATION, "device")
     return {key: value for key, value in flatten(asdict(config)) if not key.startswith(other)}

@@ -205,7 +205,7 @@ def to_config(values, what):
 
 def absolute_paths(config):
     """The configuration with paths that do not depend on the working directory, which differs between processes."""
-    for holder, name in ((config, "out"), (config.motions, "dir")):
+    for holder, name in ((config, "out"), (config.motions, "dir"), (config.start, "checkpoint")):
         value = getattr(holder, name)
         if value:
             setattr(holder, name, os.path.abspath(os.path.expanduser(value)))

@@ -19,7 +19,7 @@ from dataclasses import replace
 from motion.errors import InputError
 from motion.state_machine import build_state_machine
 from orchestrator import folder as run_folder
-from orchestrator import mlflow_store, report, table
+from orchestrator import mlflow_store, report, start, table
 from orchestrator.console import catch_signals, run_command
 from orchestrator.plan import read_plan
 from orchestrator.progress import DONE, Progress, Row, samples
@@ -72,7 +72,11 @@ def check(plan):
         if run.config.motions not in checked:
             build_state_machine(run.config.motions)
             checked.append(run.config.motions)
-    return {run.name: run_folder.state_of(run.folder, run.config) for run in plan.runs}
+    states = {run.name: run_folder.state_of(run.folder, run.config) for run in plan.runs}
+    for run in plan.runs:
+        if states[run.name] == run_folder.NEW:
+            start.check(run.config)
+    return states
 
 
 def announce(plan, states):

@@ -18,7 +18,7 @@ from pathlib import Path
 from motion.errors import InputError
 from motion.state_machine import build_state_machine
 from orchestrator import folder as run_folder
-from orchestrator import mlflow_store
+from orchestrator import mlflow_store, start
 from orchestrator.console import catch_signals, run_command, stopping
 from orchestrator.plan import Run, run_name
 from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, samples
@@ -38,6 +38,8 @@ def main(arguments):
     run_folder.check_writable(folder)
     run = Run(config, folder)
     state = run_folder.state_of(folder, config)
+    if state == run_folder.NEW:
+        start.check(config)
     announce(run, state)
     if state != run_folder.FINISHED and not train_run(run):
         return 1

@@ -100,6 +100,8 @@ RULES = {
     "pipeline_depth": choice(0, 1),
     "budget.samples": at_least(1),
     "budget.iterations": at_least(1),
+    "start.checkpoint": ("the path of a checkpoint or of a run's folder", lambda v: v.strip() != ""),
+    "start.tightenings": at_least(0),
     "curriculum.start": every(above(0), 3),
     "curriculum.floor": every(above(0), 3),
     "curriculum.factor": FACTOR,
@@ -151,6 +153,11 @@ def check_relations(config, source):
         raise InputError(
             f"{source('num_workers')}: num_workers={config.num_workers} is more than num_envs={config.num_envs}; "
             "every worker needs a simulation: lower num_workers"
+        )
+    if config.start.tightenings and config.start.checkpoint is None:
+        raise InputError(
+            f"{source('start.tightenings')}: start.tightenings={config.start.tightenings} is for a run that "
+            "begins with another's learner: set start.checkpoint, too"
         )
     if config.task.focus and not config.policy.judges:
         raise InputError(

@@ -281,6 +281,14 @@ def test_ray_gives_the_numbers_of_local(cluster, finished, configure, tmp_path, 
     assert_same_bits(state_of(folder)["workers"], state_of(tmp_path)["workers"])
 
 
+def test_a_run_begins_with_anothers_learner_on_ray_as_locally(
+    cluster, finished, configure, tmp_path, assert_same_bits
+):
+    for runtime in ("local", "ray"):
+        train(configure(runtime=runtime, seed=1, **{"start.checkpoint": str(finished[0])}), tmp_path / runtime)
+    assert_same_run(tmp_path / "local", tmp_path / "ray", assert_same_bits)
+
+
 @pytest.mark.slow
 def test_a_run_may_be_killed_on_ray_and_continued_on_ray_or_locally(
     cluster, finished, configure, tmp_path, assert_same_bits

@@ -1,0 +1,50 @@
+"""What a run begins with that does not begin from scratch: the learner of another run's checkpoint."""
+
+from pathlib import Path
+
+from motion.errors import InputError
+from orchestrator import saved
+from orchestrator.curriculum import CurriculumState, final_tightenings
+from orchestrator.validate import shown
+
+# Keys that give the networks' sizes and their numbers' meaning
+_MEANING = ("network.", "action.")
+
+
+def check(config):
+    """InputError unless the run of a `Config` can begin with what its `start` names."""
+    if config.start.checkpoint is not None:
+        _read(config)
+
+
+def content(config, clips):
+    """(content of the run's checkpoint 0, path of the one that its learner is from). InputError if that does not fit.
+
+    clips: `StateMachine.clips_hash` of the run's. There are no workers' states in it: simulations begin anew.
+    """
+    source, path = _read(config)
+    tightenings = config.start.tightenings
+    if tightenings is None:
+        tightenings = source["parts"][1].tightenings
+    learner = {**source["parts"][0], "updates": 0, "skipped": 0}
+    curriculum = CurriculumState(tightenings=min(tightenings, final_tightenings(config.curriculum)))
+    return saved.content_of(config, clips, 0, learner, curriculum, [], source["policies"][-1:], []), path
+
+
+def _read(config):
+    """(content, path) of the checkpoint, checked."""
+    place = Path(config.start.checkpoint)
+    if place.is_dir():
+        source, path = saved.load_latest(place)
+    else:
+        source, path = (saved.load_file(place), place) if place.exists() else (None, None)
+    if source is None:
+        raise InputError(f"start.checkpoint={place}: no checkpoint there; give a run's folder or a file in it")
+    if source["parts"][0] is None:
+        raise InputError(f"start.checkpoint={path}: holds a policy to use, not a learner; give a checkpoint of a run")
+    wanted = saved.numbers_of(config)
+    for key, value in source["config"].items():
+        if key.startswith(_MEANING) and key in wanted and wanted[key] != value:
+            asked = shown(wanted[key])
+            raise InputError(f"start.checkpoint={path}: of a run with {key}={shown(value)}, asked for {asked}")
+    return source, path

@@ -1,0 +1,161 @@
+"""A run that begins with another run's learner: what it takes over, what begins anew, and that nothing else matters."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from learner import checkpoint
+from learner.storage import replace_file
+from motion.errors import InputError
+from orchestrator import saved, start
+from orchestrator.history import without_clock
+from orchestrator.run import train
+from orchestrator.settings import build, command_line
+from orchestrator.validate import check_values
+
+EASY = {"curriculum.start": [50.0, 500.0, 50.0], "curriculum.window": 1, "curriculum.floor": [1e-9] * 3}
+
+
+@pytest.fixture(scope="module")
+def configure(make_config):
+    def make(**changes):
+        # a learner with all of its parts, and thresholds that every other iteration cuts
+        return make_config({"policy.average": 0.9, "policy.judges": 2, **EASY, "task.max_steps": 8, **changes})
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def source(configure, tmp_path_factory):
+    """The folder of the run that others begin with."""
+    folder = tmp_path_factory.mktemp("source")
+    train(configure(), folder)
+    assert content(folder)["parts"][1].tightenings > 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def begun(configure, source, tmp_path_factory):
+    """The folder of a run that began with it, other settings, and has finished."""
+    folder = tmp_path_factory.mktemp("begun")
+    train(other(configure, source), folder)
+    return folder
+
+
+def other(configure, where, **changes):
+    changes = {"seed": 3, "ppo.gae_lambda": 0.5, "curriculum.achievement": 0.1, **changes}
+    return configure(**{"start.checkpoint": str(where), "policy.log_sigma": -2.0, **changes})
+
+
+def content(folder):
+    return saved.load_latest(folder)[0]
+
+
+def lines(folder):
+    return [without_clock(json.loads(line)) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+
+
+def same(folder, reference, assert_same_bits):
+    assert lines(folder) == lines(reference)
+    one, two = content(folder), content(reference)
+    for key in ("iteration", "parts", "policies", "thresholds", "workers"):
+        assert_same_bits(one[key], two[key])
+
+
+def test_the_learner_is_the_sources_and_counts_from_zero(configure, source, tmp_path, assert_same_bits):
+    first = []
+    with pytest.raises(KeyboardInterrupt):
+        train(other(configure, source), tmp_path, first.append, stop=lambda: True)
+    was, copy = content(source)["parts"][0], saved.load_file(tmp_path / "checkpoints/00000000.pt")
+    for name in ("policy", "value", "average", "policy_optimizer", "value_optimizer", "observations", "returns"):
+        assert_same_bits(copy["parts"][0][name], was[name])
+    assert copy["parts"][0]["learning_rate"] == was["learning_rate"]
+    assert copy["parts"][0]["updates"] == 0 and was["updates"] > 0
+    assert (first[0]["iteration"], first[0]["samples"]) == (1, 64)
+    assert first[0]["thresholds/tightenings"] == content(source)["parts"][1].tightenings
+
+
+def test_the_first_chunk_is_acted_with_its_policy(configure, source, tmp_path, monkeypatch, assert_same_bits):
+    from workers.worker import RolloutWorker
+
+    acted, collect = [], RolloutWorker.collect
+    monkeypatch.setattr(
+        RolloutWorker, "collect", lambda self, state, policy, limits: (
+            acted.append((state, policy)), collect(self, state, policy, limits)
+        )[1],
+    )  # fmt: skip
+    train(other(configure, source, **{"budget.iterations": 1}), tmp_path)
+    state, policy = acted[0]
+    wanted = replace(content(source)["policies"][-1], version=0, log_sigma=-2.0)
+    assert_same_bits(policy, wanted)
+    assert state.clock == 0 and (state.episode == 0).all()  # simulations begin anew
+
+
+@pytest.mark.parametrize("scope", ["run", "group"])
+def test_thresholds_begin_where_asked(scope, configure, source, tmp_path):
+    changes = {"start.tightenings": 2, "curriculum.scope": scope, "curriculum.achievement": 1.0}
+    train(other(configure, source, **changes), tmp_path)
+    assert {line["thresholds/tightenings"] for line in lines(tmp_path)} == {2}
+    tracks = content(tmp_path)["parts"][1].tracks
+    assert {cuts for _, cuts in tracks} == ({2} if scope == "group" else set())
+
+
+def test_clips_may_be_others(configure, source, tmp_path):
+    config = other(configure, source)
+    config.motions = replace(config.motions, clips={"idle": config.motions.clips["idle"]})
+    train(config, tmp_path)
+    assert lines(tmp_path)[-1]["iteration"] == 4
+
+
+@pytest.mark.parametrize("kill", [1, 3])
+def test_the_source_is_read_once(kill, configure, source, begun, tmp_path, assert_same_bits):
+    """Killed before and after its first checkpoint, while the source is gone: as if neither had happened."""
+
+    class Killed(Exception):
+        pass
+
+    def killed(metrics):
+        if metrics["iteration"] == kill:
+            raise Killed
+
+    copy = shutil.copytree(source, tmp_path / "source")
+    config, folder = other(configure, copy), tmp_path / "run"
+    with pytest.raises(Killed):
+        train(config, folder, killed)
+    shutil.rmtree(copy)
+    train(config, folder)
+    same(folder, begun, assert_same_bits)
+
+
+def test_a_file_is_as_good_as_its_folder(configure, source, begun, tmp_path, assert_same_bits):
+    newest = checkpoint.paths(source / "checkpoints")[-1]
+    train(other(configure, newest), tmp_path)
+    same(tmp_path, begun, assert_same_bits)
+
+
+def test_what_cannot_be_begun_with_is_refused_in_one_line(configure, source, tmp_path):
+    policy = tmp_path / "policy.pt"
+    replace_file(policy, checkpoint.encode(saved.policy_content(content(source), configure())))
+    broken = tmp_path / "broken.pt"
+    broken.write_bytes(b"")
+    for where, changes, words in (
+        (tmp_path / "nowhere", {}, "no checkpoint there"),
+        (tmp_path, {}, "no checkpoint there"),
+        (policy, {}, "holds a policy to use"),
+        (broken, {}, "not a readable checkpoint"),
+        (source, {"network.hidden": [8]}, "network.hidden=[16], asked for [8]"),
+        (source, {"action.scale": 3.0}, "action.scale=1.0, asked for 3.0"),
+    ):
+        with pytest.raises(InputError) as error:
+            start.check(other(configure, where, **changes))
+        assert words in str(error.value) and "\n" not in str(error.value)
+    start.check(other(configure, source))
+    with pytest.raises(InputError, match="set start.checkpoint, too"):
+        check_values(configure(**{"start.tightenings": 2}), lambda key: "command line")
+
+
+def test_its_path_does_not_depend_on_the_working_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert build([command_line(["start.checkpoint=runs/a"])]).start.checkpoint == str(tmp_path / "runs/a")
