@@ -17,7 +17,7 @@ PANELS = (
     ("achievement", "achievement rate"),
     ("thresholds/tightenings", "threshold tightenings (of 34)"),
 )
-SMOOTH = 5  # iterations of the running mean
+SMOOTH = 5  # iterations of the running mean; a fiftieth of the run, if that is more
 
 
 def main(folder, out):
@@ -27,18 +27,21 @@ def main(folder, out):
     evaluations = {name: content for name, content in contents.items() if "by_accuracy" in content}  # not in older ones
     count = len(PANELS) + bool(evaluations)
     figure, axes = plt.subplots(1, count, figsize=(4 * count, 3.2), layout="constrained")
+    colors = {}
     for path in sorted(Path(folder).glob("*/metrics.jsonl")):
         lines = [json.loads(line) for line in path.read_text().splitlines()]
         samples = np.array([line["samples"] for line in lines]) / 1e6
+        width = max(SMOOTH, len(lines) // 50)
         for axis, (key, title) in zip(axes, PANELS):
             values = np.array([np.nan if line[key] is None else line[key] for line in lines], dtype=float)
             if key != "thresholds/tightenings":
-                values = np.convolve(values, np.ones(SMOOTH) / SMOOTH, "valid")
-            axis.plot(samples[-len(values) :], values, label=path.parent.name)
+                values = np.convolve(values, np.ones(width) / width, "valid")
+            (drawn,) = axis.plot(samples[-len(values) :], values, label=path.parent.name)
+            colors[path.parent.name] = drawn.get_color()
             axis.set(title=title, xlabel="samples (millions)")
     for name, content in evaluations.items():
         shares = [rung["reached"] / content["tasks"] for rung in content["by_accuracy"]]
-        axes[-1].plot(shares, label=name)
+        axes[-1].plot(shares, color=colors[name])
         axes[-1].set(title="share of tasks reached at n tightenings", xlabel="n (34: final accuracy)", ylim=(0, 1.02))
     for axis in axes:
         axis.grid(alpha=0.3)
