@@ -14,6 +14,7 @@ from orchestrator.history import without_clock
 from orchestrator.run import train
 from orchestrator.settings import build, command_line
 from orchestrator.validate import check_values
+from workers.worker import RolloutWorker
 
 EASY = {"curriculum.start": [50.0, 500.0, 50.0], "curriculum.window": 1, "curriculum.floor": [1e-9] * 3}
 
@@ -21,7 +22,7 @@ EASY = {"curriculum.start": [50.0, 500.0, 50.0], "curriculum.window": 1, "curric
 @pytest.fixture(scope="module")
 def configure(make_config):
     def make(**changes):
-        # a learner with all of its parts, and thresholds that every other iteration cuts
+        # a learner with all of its parts, and thresholds that are cut on the way
         return make_config({"policy.average": 0.9, "policy.judges": 2, **EASY, "task.max_steps": 8, **changes})
 
     return make
@@ -78,8 +79,6 @@ def test_the_learner_is_the_sources_and_counts_from_zero(configure, source, tmp_
 
 
 def test_the_first_chunk_is_acted_with_its_policy(configure, source, tmp_path, monkeypatch, assert_same_bits):
-    from workers.worker import RolloutWorker
-
     acted, collect = [], RolloutWorker.collect
     monkeypatch.setattr(
         RolloutWorker, "collect", lambda self, state, policy, limits: (
