@@ -8,7 +8,7 @@ from motion.errors import InputError
 from orchestrator import folder as run_folder
 from orchestrator.curriculum import CurriculumState
 from orchestrator.settings import flatten
-from orchestrator.validate import shown
+from orchestrator.validate import disagreement
 from workers.types import Policy, Thresholds, WorkerState
 
 
@@ -103,13 +103,9 @@ def check_same_run(saved, config, clips, path):
     if saved["parts"][0] is None:
         raise InputError(f"{path}: holds a policy to use, not the state of a run; choose another out=")
     check_same_clips(saved["clips"], clips, path)
-    wanted = numbers_of(config)
-    for key, value in saved["config"].items():
-        if key in wanted and wanted[key] != value:
-            raise InputError(
-                f"{path}: of a run with {key}={shown(value)}, asked for {key}={shown(wanted[key])}; "
-                "choose another out= or checkpoint.storage="
-            )
+    other = disagreement(saved["config"], numbers_of(config))
+    if other is not None:
+        raise InputError(f"{path}: of a run with {other}; choose another out= or checkpoint.storage=")
 
 
 def check_same_clips(trained, clips, path):

@@ -5,7 +5,7 @@ from pathlib import Path
 from motion.errors import InputError
 from orchestrator import saved
 from orchestrator.curriculum import CurriculumState, final_tightenings
-from orchestrator.validate import shown
+from orchestrator.validate import disagreement
 
 # Keys that give the networks' sizes and their numbers' meaning
 _MEANING = ("network.", "action.")
@@ -42,9 +42,7 @@ def _read(config):
         raise InputError(f"start.checkpoint={place}: no checkpoint there; give a run's folder or a file in it")
     if source["parts"][0] is None:
         raise InputError(f"start.checkpoint={path}: holds a policy to use, not a learner; give a checkpoint of a run")
-    wanted = saved.numbers_of(config)
-    for key, value in source["config"].items():
-        if key.startswith(_MEANING) and key in wanted and wanted[key] != value:
-            asked = shown(wanted[key])
-            raise InputError(f"start.checkpoint={path}: of a run with {key}={shown(value)}, asked for {asked}")
+    other = disagreement(source["config"], saved.numbers_of(config), lambda key: key.startswith(_MEANING))
+    if other is not None:
+        raise InputError(f"start.checkpoint={path}: of a run with {other}")
     return source, path

@@ -189,6 +189,17 @@ def check_relations(config, source):
             raise InputError(f"{source('device')}: device=cuda, but torch finds no CUDA device; use device=cpu or auto")
 
 
+def disagreement(held, wanted, matters=lambda key: True):
+    """The first key that two mappings {dotted key: value} share and disagree in, in words for a message; or None.
+
+    held: what something was made with, wanted: what is asked of it. Keys that do not matter are passed over.
+    """
+    for key, value in held.items():
+        if key in wanted and wanted[key] != value and matters(key):
+            return f"{key}={shown(value)}, asked for {key}={shown(wanted[key])}"
+    return None
+
+
 def shown(value):
     """A value as one would type it on the command line."""
     if isinstance(value, list):

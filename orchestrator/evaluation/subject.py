@@ -6,7 +6,7 @@ from motion.errors import InputError
 from motion.state_machine import build_state_machine
 from orchestrator import saved
 from orchestrator.settings import flatten
-from orchestrator.validate import shown
+from orchestrator.validate import disagreement
 from workers.kinematics import NUM_DOF
 from workers.observation import OBSERVATION_SIZE
 from workers.types import Policy
@@ -68,12 +68,9 @@ def check(policy, trained, config, path):
             f"{path}: trained with the clips {', '.join(clips_of(trained))}, asked for {', '.join(clips_of(wanted))}; "
             "a policy knows no other clips than those it was trained with"
         )
-    for key, value in trained.items():
-        if key.startswith(_MEANING) and not key.endswith(_TASKS) and key in wanted and wanted[key] != value:
-            raise InputError(
-                f"{path}: trained with {key}={shown(value)}, asked for {key}={shown(wanted[key])}; "
-                "evaluate a policy with what it was trained with"
-            )
+    other = disagreement(trained, wanted, lambda key: key.startswith(_MEANING) and not key.endswith(_TASKS))
+    if other is not None:
+        raise InputError(f"{path}: trained with {other}; evaluate a policy with what it was trained with")
 
 
 def clips_of(values):

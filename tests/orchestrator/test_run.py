@@ -6,6 +6,7 @@ import json
 import pytest
 import ray
 from ray import exceptions
+from training import Killed, killed_after, lines
 
 from learner import checkpoint, learner
 from orchestrator import run
@@ -14,27 +15,9 @@ from orchestrator.runtime import FAULTS, LocalRuntime, is_fault, shares
 from workers.worker import RolloutWorker
 
 
-def lines(folder):
-    """metrics.jsonl without what depends on the clock."""
-    rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-    return [{key: value for key, value in row.items() if not key.startswith("perf/")} for row in rows]
-
-
 def state_of(folder):
     """Everything in a run's newest checkpoint."""
     return load_latest(folder)[0]
-
-
-class Killed(Exception):
-    """Stands for a crash of the run."""
-
-
-def killed_after(iteration):
-    def report(metrics):
-        if metrics["iteration"] == iteration:
-            raise Killed
-
-    return report
 
 
 @pytest.fixture(scope="module")

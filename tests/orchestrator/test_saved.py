@@ -1,6 +1,5 @@
 """A run continues from what its folder or its storage holds: older schemas, copies, files that are whole."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import fsspec
 import pytest
 from disk import largest_file
+from training import lines
 
 from learner import checkpoint
 from motion import builtin
@@ -15,7 +15,6 @@ from motion.errors import InputError
 from motion.formats import npz
 from orchestrator.evaluation.subject import load_newest
 from orchestrator.folder import metrics_path
-from orchestrator.history import without_clock
 from orchestrator.run import train
 from orchestrator.saved import load_latest, place
 from orchestrator.settings import build, command_line
@@ -24,10 +23,6 @@ FIXTURES = sorted((Path(__file__).parents[1] / "learner/checkpoints").iterdir())
 # what a schema brought is in its fixture
 _CARRIED = {"policy.judges": 2, "policy.average": 0.9, "task.focus": 0.5}
 MADE_WITH = {"schema3": _CARRIED, "schema4": {**_CARRIED, "curriculum.scope": "group"}}
-
-
-def lines(folder):
-    return [without_clock(json.loads(line)) for line in metrics_path(folder).read_text().splitlines()]
 
 
 @pytest.fixture(scope="module")

@@ -1,16 +1,15 @@
 """A run that begins with another run's learner: what it takes over, what begins anew, and that nothing else matters."""
 
-import json
 import shutil
 from dataclasses import replace
 
 import pytest
+from training import Killed, killed_after, lines
 
 from learner import checkpoint
 from learner.storage import replace_file
 from motion.errors import InputError
 from orchestrator import saved, start
-from orchestrator.history import without_clock
 from orchestrator.run import train
 from orchestrator.settings import build, command_line
 from orchestrator.validate import check_values
@@ -52,10 +51,6 @@ def other(configure, where, **changes):
 
 def content(folder):
     return saved.load_latest(folder)[0]
-
-
-def lines(folder):
-    return [without_clock(json.loads(line)) for line in (folder / "metrics.jsonl").read_text().splitlines()]
 
 
 def same(folder, reference, assert_same_bits):
@@ -112,17 +107,10 @@ def test_clips_may_be_others(configure, source, tmp_path):
 def test_the_source_is_read_once(kill, configure, source, begun, tmp_path, assert_same_bits):
     """Killed before and after its first checkpoint, while the source is gone: as if neither had happened."""
 
-    class Killed(Exception):
-        pass
-
-    def killed(metrics):
-        if metrics["iteration"] == kill:
-            raise Killed
-
     copy = shutil.copytree(source, tmp_path / "source")
     config, folder = other(configure, copy), tmp_path / "run"
     with pytest.raises(Killed):
-        train(config, folder, killed)
+        train(config, folder, killed_after(kill))
     shutil.rmtree(copy)
     train(config, folder)
     same(folder, begun, assert_same_bits)
@@ -144,8 +132,8 @@ def test_what_cannot_be_begun_with_is_refused_in_one_line(configure, source, tmp
         (tmp_path, {}, "no checkpoint there"),
         (policy, {}, "holds a policy to use"),
         (broken, {}, "not a readable checkpoint"),
-        (source, {"network.hidden": [8]}, "network.hidden=[16], asked for [8]"),
-        (source, {"action.scale": 3.0}, "action.scale=1.0, asked for 3.0"),
+        (source, {"network.hidden": [8]}, "network.hidden=[16], asked for network.hidden=[8]"),
+        (source, {"action.scale": 3.0}, "action.scale=1.0, asked for action.scale=3.0"),
     ):
         with pytest.raises(InputError) as error:
             start.check(other(configure, where, **changes))

@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 from commands import lines_of, run, start, wait_for
+from training import lines
 
 from orchestrator import mlflow_store
 from orchestrator.model_registry import policy_of
@@ -31,12 +32,6 @@ NAMED = (
 )
 
 
-def without_clock(path):
-    """The lines of a metrics file without what depends on the clock."""
-    lines = [json.loads(line) for line in path.read_text().splitlines()]
-    return [{key: value for key, value in line.items() if not key.startswith("perf/")} for line in lines]
-
-
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory):
     """A sweep of two rows at scale=smoke that is killed in its second row and then continued."""
@@ -47,7 +42,7 @@ def sweep(tmp_path_factory):
     wait_for(lambda: lines_of(out / "no_tr-seed0") >= 1, process)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    first = without_clock(out / "ours-seed0" / "metrics.jsonl")
+    first = lines(out / "ours-seed0")
     evaluated = (out / "ours-seed0" / "evaluation.json").stat().st_mtime_ns
     status, output = run("sweep", folder, *arguments)
     assert status == 0, output
@@ -69,7 +64,7 @@ def test_a_sweep_makes_the_table_and_every_file(sweep):
         folder = out / f"{row}-seed0"
         assert (folder / "config.yaml").exists() and (folder / "evaluation.json").exists()
         assert len(list((folder / "checkpoints").iterdir())) >= 1
-        assert [line["iteration"] for line in without_clock(folder / "metrics.jsonl")] == [1, 2, 3, 4]
+        assert [line["iteration"] for line in lines(folder)] == [1, 2, 3, 4]
     table = json.loads((out / "table.json").read_text())
     assert [row["row"] for row in table["rows"]] == list(ROWS)
     assert all(set(row["measured"]) == set(COLUMNS) for row in table["rows"])
@@ -85,7 +80,7 @@ def test_the_killed_sweep_was_continued(sweep):
     ours = sweep["out"] / "ours-seed0"
     assert "finished before: ours-seed0" in sweep["output"]
     assert (ours / "evaluation.json").stat().st_mtime_ns == sweep["evaluated"]  # finished rows are not run again
-    assert without_clock(ours / "metrics.jsonl") == sweep["first"]
+    assert lines(ours) == sweep["first"]
 
 
 @pytest.mark.timeout(900)
