@@ -49,8 +49,13 @@ class PPOConfig:
     """Times each transition is used per update."""
     minibatch_size: int = 512
     """Transitions per step, at most; a chunk is cut into equal minibatches no larger than this."""
+    optimizer: str = "adam"
+    """How the policy descends: `adam`, or `kfac`, the natural gradient by Kronecker factors (`learner/kfac.py`). The
+    value network has Adam."""
+    damping: float = 1e-4
+    """kfac: added to the factors' diagonals, in units of the mean of their eigenvalues."""
     learning_rate: float = 3e-4
-    """Adam's step size at the start."""
+    """The optimizer's step size at the start."""
     target_kl: float | None = None
     """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
     final_kl: float | None = None

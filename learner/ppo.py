@@ -4,6 +4,7 @@ import math
 
 import torch
 
+LARGEST_RATE = {"adam": 3e-3, "kfac": 10.0}  # that a policy's learning rate may adapt to
 _LOG_LIMIT = 20.0  # of any log ratio
 _LOG_WEIGHT = math.log(2.0)  # of the weight of a sample in the pipelined loss
 
@@ -42,12 +43,12 @@ def target_divergence(config, updates):
     return config.target_kl + done * (config.final_kl - config.target_kl)
 
 
-def adapt_learning_rate(rate, divergence, target):
+def adapt_learning_rate(rate, divergence, target, largest):
     """The next learning rate: smaller if the KL divergence of the last epoch is over 1.5 target, larger below 1/1.5."""
     if target is None:
         return rate
     if divergence > 1.5 * target:
         return max(rate / 1.3, 1e-7)
     if divergence < target / 1.5:
-        return min(rate * 1.3, 3e-3)
+        return min(rate * 1.3, largest)
     return rate

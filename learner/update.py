@@ -8,6 +8,7 @@ import torch
 
 from learner import ppo, sbc
 from learner.gae import advantages
+from learner.kfac import KFAC
 from learner.networks import build_networks, snapshot
 from learner.normalizer import Normalizer
 from workers.observation import OBSERVATION_SIZE
@@ -30,7 +31,10 @@ class LearnerState:
         self.policy, self.value = build_networks(config.network, seed, device)
         self.average = copy.deepcopy(self.policy) if config.policy.average else None
         self.learning_rate = config.ppo.learning_rate
-        self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
+        if config.ppo.optimizer == "kfac":
+            self.policy_optimizer = KFAC(self.policy, self.learning_rate, config.ppo.damping)
+        else:
+            self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
         self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=self.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
@@ -53,9 +57,10 @@ class LearnerState:
         return {**parts, **numbers}
 
     def load_state_dict(self, state):
-        """Become the learner that made `state`."""
+        """Become the learner that made `state`; where its `policy_optimizer` is None, that begins anew."""
         for name in self._PARTS:
-            getattr(self, name).load_state_dict(state[name])
+            if state[name] is not None:
+                getattr(self, name).load_state_dict(state[name])
         if self.average:
             self.average.load_state_dict(state["average"] or state["policy"])
         for name in self._NUMBERS:
@@ -110,6 +115,10 @@ def update(state, chunks):
     shuffle = _generator(state, _SHUFFLE)
     for group in state.policy_optimizer.param_groups:
         group["lr"] = state.learning_rate
+    if config.ppo.optimizer == "kfac":
+        # both losses' inputs: where PPO's hardly vary, their own curvature alone would let steps of SBC diverge
+        some = shuffle.permutation(explored)[: config.ppo.minibatch_size]
+        state.policy_optimizer.observe(torch.cat([inputs[tensor(some)], *demonstrator.inputs()]), sigma)
     sums, steps, divergence_sum = {}, 0, 0.0
     for epoch in range(config.ppo.epochs):
         for rows in np.array_split(shuffle.permutation(explored), batches):
@@ -142,8 +151,9 @@ def update(state, chunks):
     if finite:
         _average(state)
         state.learning_rate = ppo.adapt_learning_rate(
-            state.learning_rate, float(divergence_sum) / batches, ppo.target_divergence(config.ppo, state.updates)
-        )
+            state.learning_rate, float(divergence_sum) / batches, ppo.target_divergence(config.ppo, state.updates),
+            ppo.LARGEST_RATE[config.ppo.optimizer],
+        )  # fmt: skip
         state.skipped = 0
     else:
         state = copy.deepcopy(before)
@@ -217,22 +227,31 @@ class _Demonstrator:
             self.valid_share = len(self._pairs) / (n * horizon * (horizon + 1) / 2)
             self._random = _generator(state, _DEMONSTRATIONS)
 
+    def inputs(self):
+        """The policy's inputs of one draw of demonstrations, or of none: [(K, 282)] or []."""
+        return [self._draw()[0]] if len(self._pairs) else []
+
     def step(self):
         """One gradient step on `batch_size` demonstrations, drawn uniformly from all valid pairs; its metrics."""
         if not len(self._pairs):
             return {"loss/sbc": 0.0, "gradient/sbc": 0.0}
         state, config = self._state, self._state.config.sbc
-        chosen = self._random.integers(len(self._pairs), size=self._size)
+        inputs, action, weight = self._draw()
+        loss = sbc.sbc_loss(state.policy(inputs), action, weight, config)
+        norm = _descend(loss, state.policy, state.policy_optimizer, state.config.ppo.max_grad_norm)
+        return {"loss/sbc": loss.detach(), "gradient/sbc": norm}
+
+    def _draw(self):
+        """(policy's inputs (K, 282), action (K, 31), gap weight (K,)) of demonstrations, as tensors."""
+        state, chosen = self._state, self._random.integers(len(self._pairs), size=self._size)
         observation, action = sbc.demonstrations(self._chunk, self._pairs, chosen, state.action)
-        weight = sbc.gap_weights(self._pairs.gap()[chosen], len(self._chunk.end) + 1, config.gap_weighting)
+        weighting = state.config.sbc.gap_weighting
+        weight = sbc.gap_weights(self._pairs.gap()[chosen], len(self._chunk.end) + 1, weighting)
         observation, action, weight = (
             torch.as_tensor(array, device=state.device) for array in (observation, action, weight)
         )
         with torch.no_grad():
-            inputs = state.observations(observation)
-        loss = sbc.sbc_loss(state.policy(inputs), action, weight, config)
-        norm = _descend(loss, state.policy, state.policy_optimizer, state.config.ppo.max_grad_norm)
-        return {"loss/sbc": loss.detach(), "gradient/sbc": norm}
+            return state.observations(observation), action, weight
 
 
 def _descend(loss, network, optimizer, max_norm):

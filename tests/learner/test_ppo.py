@@ -172,13 +172,13 @@ def test_updates_shuffle_differently(spied, lessons, make_config):
     ],
 )
 def test_the_learning_rate_follows_the_divergence_outside_a_dead_band(divergence, target, factor):
-    assert ppo.adapt_learning_rate(1e-3, divergence, target) == pytest.approx(1e-3 * factor)
+    assert ppo.adapt_learning_rate(1e-3, divergence, target, 1.0) == pytest.approx(1e-3 * factor)
 
 
 def test_the_learning_rate_stays_in_its_range():
     low, high = 1e-3, 1e-3
     for _ in range(50):
-        low, high = ppo.adapt_learning_rate(low, 1.0, 0.1), ppo.adapt_learning_rate(high, 0.0, 0.1)
+        low, high = ppo.adapt_learning_rate(low, 1.0, 0.1, 3e-3), ppo.adapt_learning_rate(high, 0.0, 0.1, 3e-3)
     assert (low, high) == (1e-7, 3e-3)
 
 

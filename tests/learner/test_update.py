@@ -25,8 +25,9 @@ def content(state):
     return copy.deepcopy(state.state_dict())
 
 
-def test_an_update_leaves_its_arguments_as_they_were(lessons, make_config, assert_same_bits):
-    state = learner(make_config())
+@pytest.mark.parametrize("optimizer", ["adam", "kfac"])
+def test_an_update_leaves_its_arguments_as_they_were(optimizer, lessons, make_config, assert_same_bits):
+    state = learner(make_config({"ppo.optimizer": optimizer}))
     state, _ = update(state, lessons[:1])  # so that optimizers and normalizers hold something
     chunks = lessons[1:2]
     before, kept = content(state), copy.deepcopy(chunks)
@@ -54,11 +55,12 @@ def test_another_seed_gives_other_weights(lessons, make_config):
     assert (first != second).float().mean() > 0.9
 
 
+@pytest.mark.parametrize("optimizer", ["adam", "kfac"])
 @pytest.mark.parametrize("cuts", [[(12, 24), (0, 12)], [(16, 24), (0, 3), (3, 16)]])
 def test_chunks_of_several_workers_in_any_order_equal_the_one_chunk(
-    cuts, lessons, columns, make_config, assert_same_bits
+    cuts, optimizer, lessons, columns, make_config, assert_same_bits
 ):
-    config = make_config({"ppo.timeout": "bootstrap"})
+    config = make_config({"ppo.timeout": "bootstrap", "ppo.optimizer": optimizer})
     whole = lessons[2]
     parts = [columns(whole, range(*cut)) for cut in cuts]
     assert_same_bits(concatenate_chunks(parts), whole)
@@ -245,16 +247,17 @@ def poisoned(chunk, name, value):
 
 
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")
+@pytest.mark.parametrize("optimizer", ["adam", "kfac"])
 @pytest.mark.parametrize(
     "name, value",
     [("reward", np.nan), ("reward", np.inf), ("reward", 3e38), ("observation", np.nan), ("observation", np.inf),
      ("action", np.nan), ("action", np.inf), ("action", 3e38), ("mean", np.nan)],
 )  # fmt: skip
 def test_an_update_on_numbers_that_are_not_finite_changes_only_the_counters(
-    name, value, lessons, make_config, assert_same_bits
+    name, value, optimizer, lessons, make_config, assert_same_bits
 ):
     """Parameters, optimizers, normalizers and learning rate stay, to the last bit; the same again gives the same."""
-    config = make_config({"ppo.target_kl": 0.01, "ppo.learning_rate": 1e-3})
+    config = make_config({"ppo.target_kl": 0.01, "ppo.learning_rate": 1e-3, "ppo.optimizer": optimizer})
     before, _ = update(learner(config), lessons[:1])
     kept = copy.deepcopy(content(before))
     bad = poisoned(lessons[1], name, value)

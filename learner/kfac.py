@@ -1,0 +1,96 @@
+"""K-FAC: the natural gradient of the policy, its Fisher information approximated layer by layer as a Kronecker product.
+
+The trust region limits how far the policy's means move, F = E[J' J] / sigma^2 with J the Jacobian of the 31 means by
+the weights. For a Gaussian policy of fixed sigma this is its Fisher information, and F^-1 g is the direction that gains
+most for a given KL divergence (Kakade, "A natural policy gradient", 2001). Of a layer that computes s = W x, F is
+nearly A (x) G with A = E[x x'] and G = E[J_s' J_s] / sigma^2, so that F^-1 g = G^-1 g A^-1 (Martens and Grosse,
+"Optimizing neural networks with Kronecker-factored approximate curvature", 2015).
+"""
+
+import torch
+from torch import nn
+
+MEMORY = 0.95  # decay per update of the running averages of A and G
+_LEAST = 1e-20  # mean eigenvalue: a layer that the outputs do not depend on (yet) has G = 0 and a gradient of zero
+
+
+class KFAC:
+    """Steps down the natural gradient of an MLP (`nn.Sequential` of `nn.Linear` and `nn.ReLU`) whose outputs are the
+    means of Gaussians; used as a `torch.optim.Optimizer` is. `observe` first, and again as the network changes.
+
+    damping: added to each factor's diagonal, in units of the mean of its eigenvalues.
+    """
+
+    def __init__(self, network, lr, damping):
+        self.param_groups = [{"lr": lr}]
+        self._layers = [layer for layer in network if isinstance(layer, nn.Linear)]
+        self._damping, self._seen = damping, 0
+        self._factors = [tuple(map(torch.zeros_like, pair)) for pair in self._empty()]
+        self._inverses = None
+
+    def _empty(self):
+        for layer in self._layers:
+            weight = layer.weight
+            yield weight.new_empty([layer.in_features + 1] * 2), weight.new_empty([layer.out_features] * 2)
+
+    def state_dict(self):
+        """The running averages."""
+        return {"seen": self._seen, "factors": self._factors}
+
+    def load_state_dict(self, state):
+        """Go on from them."""
+        self._seen = state["seen"]
+        for mine, saved in zip(self._factors, state["factors"], strict=True):
+            for factor, value in zip(mine, saved, strict=True):
+                factor.copy_(value)
+
+    @torch.no_grad()
+    def observe(self, inputs, sigma):
+        """Let the factors take in the network as it is, at inputs (n, 282): plain means at first, then running ones."""
+        decay = min(MEMORY, self._seen / (self._seen + 1))
+        self._seen += 1
+        self._inverses = []
+        for kept, new in zip(self._factors, factors(self._layers, inputs, sigma), strict=True):
+            for factor, value in zip(kept, new, strict=True):
+                factor.lerp_(value, 1 - decay)
+            self._inverses.append([_inverse(factor, self._damping) for factor in kept])
+
+    def zero_grad(self, set_to_none=True):
+        """Forget the gradients of the last step."""
+        for layer in self._layers:
+            layer.zero_grad(set_to_none)
+
+    @torch.no_grad()
+    def step(self):
+        """W -= lr G^-1 dW A^-1, the bias being the weight of an input of one."""
+        rate = self.param_groups[0]["lr"]
+        for layer, (a, g) in zip(self._layers, self._inverses, strict=True):
+            natural = g @ torch.cat([layer.weight.grad, layer.bias.grad[:, None]], dim=1) @ a
+            layer.weight -= rate * natural[:, :-1]
+            layer.bias -= rate * natural[:, -1]
+
+
+def factors(layers, inputs, sigma):
+    """[(A, G)] of the linear layers of an MLP: means over inputs (n, 282) of x x' with x (n, in + 1), a one appended,
+    and of J_s' J_s / sigma^2, J_s (n, 31, out) the Jacobian of the network's outputs by the layer's."""
+    seen, hidden = [], inputs
+    for layer in layers:
+        seen.append(torch.cat([hidden, hidden.new_ones(len(hidden), 1)], dim=1))
+        hidden = torch.relu(layer(hidden))  # that of the last layer is not used
+    n, outputs = len(inputs), layers[-1].out_features
+    jacobian = torch.eye(outputs, dtype=inputs.dtype, device=inputs.device).expand(n, outputs, outputs)
+    found = []
+    for i in reversed(range(len(layers))):
+        rows = jacobian.reshape(n * outputs, -1)
+        found.append((seen[i].T @ seen[i] / n, rows.T @ rows / (n * sigma**2)))
+        if i:
+            jacobian = (jacobian @ layers[i].weight) * (seen[i][:, None, :-1] > 0)
+    return found[::-1]
+
+
+def _inverse(factor, damping):
+    """(factor + damping * mean eigenvalue * identity)^-1, in double precision on the way; not finite if it is not."""
+    wide = factor.double()
+    added = damping * wide.diagonal().mean().clamp(min=_LEAST)
+    wide = wide + added * torch.eye(len(wide), dtype=wide.dtype, device=wide.device)
+    return torch.cholesky_inverse(torch.linalg.cholesky_ex(wide).L).to(factor.dtype)
