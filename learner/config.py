@@ -52,10 +52,12 @@ class PPOConfig:
     optimizer: str = "adam"
     """How the policy descends: `adam`, or `kfac`, the natural gradient by Kronecker factors (`learner/kfac.py`). The
     value network has Adam."""
-    damping: float = 1e-4
+    damping: float = 0.03
     """kfac: added to the factors' diagonals, in units of the mean of their eigenvalues."""
+    natural_rate: float = 0.1
+    """kfac: step size at the start."""
     learning_rate: float = 3e-4
-    """The optimizer's step size at the start."""
+    """Adam's step size: of the value network, and at the start of the policy."""
     target_kl: float | None = None
     """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
     final_kl: float | None = None
@@ -74,6 +76,11 @@ class PPOConfig:
     """Scale observations by their running mean and deviation."""
     normalize_values: bool = True
     """Let the value network predict returns scaled by their running mean and deviation."""
+
+    @property
+    def initial_rate(self):
+        """The policy's step size at the start."""
+        return self.natural_rate if self.optimizer == "kfac" else self.learning_rate
 
 
 @dataclass

@@ -19,7 +19,7 @@ _SHUFFLE, _DEMONSTRATIONS = 0, 1
 
 
 class LearnerState:
-    """Everything that the learner is between two updates: networks, optimizers, normalizers, learning rate.
+    """All that the learner is between two updates: networks, optimizers, normalizers, the policy's learning rate.
 
     config: `learner.config.LearnerConfig`. `updates` counts the updates so far, `skipped` those of the last ones in a
     row that changed nothing (see `update`). A demonstration's action is expressed in `action`
@@ -30,12 +30,12 @@ class LearnerState:
         self.config, self.action, self.seed, self.device = config, action, seed, device
         self.policy, self.value = build_networks(config.network, seed, device)
         self.average = copy.deepcopy(self.policy) if config.policy.average else None
-        self.learning_rate = config.ppo.learning_rate
+        self.learning_rate = config.ppo.initial_rate
         if config.ppo.optimizer == "kfac":
             self.policy_optimizer = KFAC(self.policy, self.learning_rate, config.ppo.damping)
         else:
             self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
-        self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=self.learning_rate, fused=True)
+        self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
         self.updates = self.skipped = 0

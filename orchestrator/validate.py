@@ -75,6 +75,7 @@ RULES = {
     "ppo.minibatch_size": at_least(1),
     "ppo.optimizer": choice("adam", "kfac"),
     "ppo.damping": above(0),
+    "ppo.natural_rate": above(0),
     "ppo.learning_rate": above(0),
     "ppo.target_kl": above(0),
     "ppo.final_kl": above(0),

@@ -160,15 +160,16 @@ def test_a_normalizer_that_is_off_or_new_leaves_vectors_as_they_are():
     torch.testing.assert_close(scaled.std(0, unbiased=False), torch.ones(5), rtol=1e-4, atol=1e-4)
 
 
-def test_the_learning_rate_in_use_is_the_adapted_one(lessons, make_config):
-    config = make_config({"ppo.target_kl": 1e-9})
+@pytest.mark.parametrize("optimizer, first", [("adam", 3e-4), ("kfac", 0.1)])
+def test_the_learning_rate_in_use_is_the_adapted_one(optimizer, first, lessons, make_config):
+    config = make_config({"ppo.target_kl": 1e-9, "ppo.optimizer": optimizer})
     state = learner(config)
     rates = []
     for _ in range(3):
         state, metrics = update(state, lessons[:1])
         rates.append(metrics["policy/learning_rate"])
         assert state.policy_optimizer.param_groups[0]["lr"] == rates[-1]
-    np.testing.assert_allclose(rates, [3e-4, 3e-4 / 1.3, 3e-4 / 1.3**2])
+    np.testing.assert_allclose(rates, [first, first / 1.3, first / 1.3**2])
     assert state.value_optimizer.param_groups[0]["lr"] == 3e-4
 
 
