@@ -39,6 +39,17 @@ def main():
     parser.add_argument("overrides", nargs="*", help="key=value")
     options = parser.parse_intermixed_args()
     torch.set_num_threads(1)
+    config, content, path = opened(parser, options)
+    figures = measure(config, content, options.chunks, [float(text) for text in options.lambdas.split(",")])
+    print(f"{path}: {options.chunks} chunks of {config.num_envs} x {config.horizon} samples")
+    for name, value in figures.items():
+        print(f"{name:24s} {value:9.4f}")
+    if options.json:
+        print(json.dumps(figures))
+
+
+def opened(parser, options):
+    """(config, content of the newest checkpoint, its path) of the run that the command line names."""
     try:
         config = load(config_path(options.run), options.overrides)
         content, path = saved.load_latest(options.run, config)
@@ -46,12 +57,7 @@ def main():
         parser.error(str(error))
     if content is None:
         parser.error(f"{options.run}: holds no checkpoint")
-    figures = measure(config, content, options.chunks, [float(text) for text in options.lambdas.split(",")])
-    print(f"{path}: {options.chunks} chunks of {config.num_envs} x {config.horizon} samples")
-    for name, value in figures.items():
-        print(f"{name:24s} {value:9.4f}")
-    if options.json:
-        print(json.dumps(figures))
+    return config, content, path
 
 
 def measure(config, content, chunks, lambdas):

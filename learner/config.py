@@ -52,10 +52,12 @@ class PPOConfig:
     optimizer: str = "adam"
     """How the policy descends: `adam`, or `kfac`, the natural gradient by Kronecker factors (`learner/kfac.py`). The
     value network has Adam."""
+    kfac_after: int = 0
+    """kfac: so many updates with Adam come first."""
     damping: float = 0.03
     """kfac: added to the factors' diagonals, in units of the mean of their eigenvalues."""
     natural_rate: float = 0.1
-    """kfac: step size at the start."""
+    """kfac: step size when it begins."""
     learning_rate: float = 3e-4
     """Adam's step size: of the value network, and at the start of the policy."""
     target_kl: float | None = None
@@ -77,10 +79,9 @@ class PPOConfig:
     normalize_values: bool = True
     """Let the value network predict returns scaled by their running mean and deviation."""
 
-    @property
-    def initial_rate(self):
-        """The policy's step size at the start."""
-        return self.natural_rate if self.optimizer == "kfac" else self.learning_rate
+    def method(self, updates):
+        """`adam` or `kfac`: how the policy descends after so many updates."""
+        return "kfac" if self.optimizer == "kfac" and updates >= self.kfac_after else "adam"
 
 
 @dataclass

@@ -62,12 +62,18 @@ class KFAC:
 
     @torch.no_grad()
     def step(self):
-        """W -= lr G^-1 dW A^-1, the bias being the weight of an input of one."""
-        rate = self.param_groups[0]["lr"]
-        for layer, (a, g) in zip(self._layers, self._inverses, strict=True):
-            natural = g @ torch.cat([layer.weight.grad, layer.bias.grad[:, None]], dim=1) @ a
-            layer.weight -= rate * natural[:, :-1]
-            layer.bias -= rate * natural[:, -1]
+        """Every parameter less lr times its part of the natural gradient."""
+        parameters = [parameter for layer in self._layers for parameter in (layer.weight, layer.bias)]
+        for parameter, natural in zip(parameters, self.natural([p.grad for p in parameters]), strict=True):
+            parameter -= self.param_groups[0]["lr"] * natural
+
+    def natural(self, gradients):
+        """G^-1 dW A^-1 of gradients in the order of the network's parameters, a bias being the weight of a one."""
+        found = []
+        for weight, bias, (a, g) in zip(gradients[::2], gradients[1::2], self._inverses, strict=True):
+            both = g @ torch.cat([weight, bias[:, None]], dim=1) @ a
+            found += [both[:, :-1], both[:, -1]]
+        return found
 
 
 def factors(layers, inputs, sigma):

@@ -30,11 +30,7 @@ class LearnerState:
         self.config, self.action, self.seed, self.device = config, action, seed, device
         self.policy, self.value = build_networks(config.network, seed, device)
         self.average = copy.deepcopy(self.policy) if config.policy.average else None
-        self.learning_rate = config.ppo.initial_rate
-        if config.ppo.optimizer == "kfac":
-            self.policy_optimizer = KFAC(self.policy, self.learning_rate, config.ppo.damping)
-        else:
-            self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
+        self.descend_by(config.ppo.method(0))
         self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
@@ -42,6 +38,16 @@ class LearnerState:
 
     _PARTS = ("policy", "value", "policy_optimizer", "value_optimizer", "observations", "returns")
     _NUMBERS = ("learning_rate", "updates", "skipped")
+
+    def descend_by(self, method):
+        """Let the policy begin anew with `adam` or `kfac`."""
+        self.method, config = method, self.config.ppo
+        if method == "kfac":
+            self.learning_rate = config.natural_rate
+            self.policy_optimizer = KFAC(self.policy, self.learning_rate, config.damping)
+        else:
+            self.learning_rate = config.learning_rate
+            self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
 
     def snapshot(self):
         """The `workers.types.Policy` to act with."""
@@ -57,10 +63,10 @@ class LearnerState:
         return {**parts, **numbers}
 
     def load_state_dict(self, state):
-        """Become the learner that made `state`; where its `policy_optimizer` is None, that begins anew."""
+        """Become the learner that made `state`."""
+        self.descend_by("kfac" if "factors" in state["policy_optimizer"] else "adam")
         for name in self._PARTS:
-            if state[name] is not None:
-                getattr(self, name).load_state_dict(state[name])
+            getattr(self, name).load_state_dict(state[name])
         if self.average:
             self.average.load_state_dict(state["average"] or state["policy"])
         for name in self._NUMBERS:
@@ -113,9 +119,11 @@ def update(state, chunks):
     batches = -(-len(explored) // config.ppo.minibatch_size)
     demonstrator = _Demonstrator(state, chunk, config.sbc.batch_size or -(-len(explored) // batches))
     shuffle = _generator(state, _SHUFFLE)
+    if state.method != config.ppo.method(state.updates):
+        state.descend_by(config.ppo.method(state.updates))
     for group in state.policy_optimizer.param_groups:
         group["lr"] = state.learning_rate
-    if config.ppo.optimizer == "kfac":
+    if state.method == "kfac":
         # both losses' inputs: where PPO's hardly vary, their own curvature alone would let steps of SBC diverge
         some = shuffle.permutation(explored)[: config.ppo.minibatch_size]
         state.policy_optimizer.observe(torch.cat([inputs[tensor(some)], *demonstrator.inputs()]), sigma)
@@ -152,7 +160,7 @@ def update(state, chunks):
         _average(state)
         state.learning_rate = ppo.adapt_learning_rate(
             state.learning_rate, float(divergence_sum) / batches, ppo.target_divergence(config.ppo, state.updates),
-            ppo.LARGEST_RATE[config.ppo.optimizer],
+            ppo.LARGEST_RATE[state.method],
         )  # fmt: skip
         state.skipped = 0
     else:

@@ -27,8 +27,6 @@ def content(config, clips):
     if tightenings is None:
         tightenings = source["parts"][1].tightenings
     learner = {**source["parts"][0], "updates": 0, "skipped": 0}
-    if source["config"].get("ppo.optimizer", "adam") != config.ppo.optimizer:  # its steps mean nothing to the other
-        learner |= {"policy_optimizer": None, "learning_rate": config.ppo.initial_rate}
     curriculum = CurriculumState(tightenings=min(tightenings, final_tightenings(config.curriculum)))
     return saved.content_of(config, clips, 0, learner, curriculum, [], source["policies"][-1:], []), path
 

@@ -74,6 +74,7 @@ RULES = {
     "ppo.epochs": at_least(1),
     "ppo.minibatch_size": at_least(1),
     "ppo.optimizer": choice("adam", "kfac"),
+    "ppo.kfac_after": at_least(0),
     "ppo.damping": above(0),
     "ppo.natural_rate": above(0),
     "ppo.learning_rate": above(0),

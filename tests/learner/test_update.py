@@ -160,6 +160,24 @@ def test_a_normalizer_that_is_off_or_new_leaves_vectors_as_they_are():
     torch.testing.assert_close(scaled.std(0, unbiased=False), torch.ones(5), rtol=1e-4, atol=1e-4)
 
 
+def test_kfac_takes_over_from_adam_when_asked_and_keeps_the_networks(lessons, make_config, assert_same_bits):
+    """Until then all is as with Adam; a saved learner goes on as if it had not been away, before and after."""
+    config = make_config({"ppo.optimizer": "kfac", "ppo.kfac_after": 2, "ppo.natural_rate": 0.02})
+    state, plain, resumed = learner(config), learner(make_config()), learner(config)
+    for i, lesson in enumerate(lessons[:4]):
+        state, metrics = update(state, [lesson])
+        resumed, _ = update(resumed, [lesson])
+        saved, resumed = content(resumed), learner(config)
+        resumed.load_state_dict(saved)
+        assert_same_bits(content(resumed), content(state))
+        if i < 2:
+            plain, same = update(plain, [lesson])
+            assert_same_bits([content(state), metrics], [content(plain), same])
+        else:
+            assert metrics["policy/learning_rate"] == 0.02
+    assert state.policy_optimizer.state_dict()["seen"] == 2
+
+
 @pytest.mark.parametrize("optimizer, first", [("adam", 3e-4), ("kfac", 0.1)])
 def test_the_learning_rate_in_use_is_the_adapted_one(optimizer, first, lessons, make_config):
     config = make_config({"ppo.target_kl": 1e-9, "ppo.optimizer": optimizer})
