@@ -25,13 +25,11 @@ class KFAC:
         self.param_groups = [{"lr": lr}]
         self._layers = [layer for layer in network if isinstance(layer, nn.Linear)]
         self._damping, self._seen = damping, 0
-        self._factors = [tuple(map(torch.zeros_like, pair)) for pair in self._empty()]
+        self._factors = [  # (A, G) of each layer
+            (layer.weight.new_zeros([layer.in_features + 1] * 2), layer.weight.new_zeros([layer.out_features] * 2))
+            for layer in self._layers
+        ]
         self._inverses = None
-
-    def _empty(self):
-        for layer in self._layers:
-            weight = layer.weight
-            yield weight.new_empty([layer.in_features + 1] * 2), weight.new_empty([layer.out_features] * 2)
 
     def state_dict(self):
         """The running averages."""
