@@ -31,25 +31,22 @@ from workers.worker import RolloutWorker
 
 def main():
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    run(__doc__, measure, "0.95,0.8,0.5", "of GAE; the first counts for cosine and share", "{:9.4f}".format)
+
+
+def run(description, measure, lambdas, meaning, shown):
+    """Print what `measure` makes of the run that the command line names, each figure as `shown` gives it.
+
+    lambdas, meaning: default and help of --lambdas.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", help="a run's folder")
     parser.add_argument("--chunks", type=int, default=48)
-    parser.add_argument("--lambdas", default="0.95,0.8,0.5", help="of GAE; the first counts for cosine and share")
+    parser.add_argument("--lambdas", default=lambdas, help=meaning)
     parser.add_argument("--json", action="store_true", help="print one last line with every figure")
     parser.add_argument("overrides", nargs="*", help="key=value")
     options = parser.parse_intermixed_args()
     torch.set_num_threads(1)
-    config, content, path = opened(parser, options)
-    figures = measure(config, content, options.chunks, [float(text) for text in options.lambdas.split(",")])
-    print(f"{path}: {options.chunks} chunks of {config.num_envs} x {config.horizon} samples")
-    for name, value in figures.items():
-        print(f"{name:24s} {value:9.4f}")
-    if options.json:
-        print(json.dumps(figures))
-
-
-def opened(parser, options):
-    """(config, content of the newest checkpoint, its path) of the run that the command line names."""
     try:
         config = load(config_path(options.run), options.overrides)
         content, path = saved.load_latest(options.run, config)
@@ -57,7 +54,12 @@ def opened(parser, options):
         parser.error(str(error))
     if content is None:
         parser.error(f"{options.run}: holds no checkpoint")
-    return config, content, path
+    figures = measure(config, content, options.chunks, [float(text) for text in options.lambdas.split(",")])
+    print(f"{path}: {options.chunks} chunks of {config.num_envs} x {config.horizon} samples")
+    for name, value in figures.items():
+        print(f"{name:24s} {shown(value)}")
+    if options.json:
+        print(json.dumps(figures))
 
 
 def measure(config, content, chunks, lambdas):

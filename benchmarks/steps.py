@@ -5,45 +5,29 @@
 Collects chunks with the policy of a run's newest checkpoint, which stays as it is. The gradient over each chunk gives a
 step v; what it gains is its slope along the mean gradient g over all other chunks, per distance of the policies:
 
-gain      g' v / sqrt(v' F v), F the Fisher information of the policy: to first order what a step of unit KL divergence
-          gains. g: of PPO's loss at the first of the lambdas, which has the least bias and the most noise. In units of
-          the standard deviation of the first lambda's advantages.
+gain      g' v / sqrt(v' F v), F the Fisher information of the policy: the slope per distance, which is the root of
+          twice the KL divergence. g: of PPO's loss at the first of the lambdas, which has the least bias and the most
+          noise. In units of the standard deviation of the first lambda's advantages.
 
 The steps: `plain` the gradient, `adam` divided by the root of the optimizer's second moments (only of a run with Adam),
 `kfac` by Kronecker factors of PPO's inputs in the last chunks, with the run's `ppo.damping`. A negative gain of SBC: it
 pulls against PPO.
 """
 
-import argparse
-import json
 import math
 
 import numpy as np
 import torch
 
-from benchmarks.gradients import collect, of_ppo, of_sbc, opened
+from benchmarks.gradients import collect, of_ppo, of_sbc, run
 from learner.kfac import KFAC
 from learner.update import LearnerState
 
 
 def main():
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", help="a run's folder")
-    parser.add_argument("--chunks", type=int, default=48)
-    parser.add_argument("--lambdas", default="1,0.8,0.5", help="of GAE; the first tells what is gained")
-    parser.add_argument("--json", action="store_true", help="print one last line with every figure")
-    parser.add_argument("overrides", nargs="*", help="key=value")
-    options = parser.parse_intermixed_args()
-    torch.set_num_threads(1)
-    config, content, path = opened(parser, options)
-    figures = measure(config, content, options.chunks, [float(text) for text in options.lambdas.split(",")])
-    print(f"{path}: {options.chunks} chunks of {config.num_envs} x {config.horizon} samples")
-    print(f"{'gain of a step':24s} {'mean':>9s} {'error':>9s}")
-    for name, (mean, error) in figures.items():
-        print(f"{name:24s} {mean:9.4f} {error:9.4f}")
-    if options.json:
-        print(json.dumps(figures))
+    meaning = "of GAE; the first tells what is gained"
+    run(__doc__, measure, "1,0.8,0.5", meaning, lambda figure: "{:9.4f} +- {:.4f}".format(*figure))
 
 
 def measure(config, content, chunks, lambdas):

@@ -39,9 +39,14 @@ class LearnerState:
     _PARTS = ("policy", "value", "policy_optimizer", "value_optimizer", "observations", "returns")
     _NUMBERS = ("learning_rate", "updates", "skipped")
 
+    @property
+    def method(self):
+        """`adam` or `kfac`: how the policy descends."""
+        return "kfac" if isinstance(self.policy_optimizer, KFAC) else "adam"
+
     def descend_by(self, method):
         """Let the policy begin anew with `adam` or `kfac`."""
-        self.method, config = method, self.config.ppo
+        config = self.config.ppo
         if method == "kfac":
             self.learning_rate = config.natural_rate
             self.policy_optimizer = KFAC(self.policy, self.learning_rate, config.damping)
