@@ -22,7 +22,7 @@ import ray
 from mujoco.batch import Batch
 
 from benchmarks.throughput import build_config, seconds
-from learner.update import LearnerState
+from learner.state import LearnerState
 from motion.state_machine import build_state_machine
 from orchestrator import settings
 from orchestrator.cluster import start_here

@@ -20,7 +20,8 @@ import numpy as np
 import torch
 
 from learner import ppo, sbc
-from learner.update import LearnerState, targets
+from learner.batch import targets
+from learner.state import LearnerState
 from motion.errors import InputError
 from orchestrator import saved
 from orchestrator.folder import config_path

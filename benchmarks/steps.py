@@ -21,7 +21,7 @@ import torch
 
 from benchmarks.gradients import collect, of_ppo, of_sbc, run
 from learner.kfac import KFAC
-from learner.update import LearnerState
+from learner.state import LearnerState
 
 
 def main():

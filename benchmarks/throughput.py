@@ -19,7 +19,7 @@ from pathlib import Path
 import ray
 from mujoco.batch import Batch
 
-from learner.update import LearnerState
+from learner.state import LearnerState
 from motion.state_machine import build_state_machine
 from orchestrator import settings
 from orchestrator.curriculum import thresholds

@@ -2,7 +2,8 @@
 
 import torch
 
-from learner.update import LearnerState, update
+from learner.state import LearnerState
+from learner.update import update
 
 
 def resolve_device(name):
@@ -30,5 +31,16 @@ class Learner:
         return self._state.snapshot(), metrics
 
     def saved(self):
-        """Plain tensors and numbers for a checkpoint."""
-        return self._state.state_dict()
+        """Plain tensors and numbers for a checkpoint, off the GPU: who writes it may have none."""
+        return _on_cpu(self._state.state_dict())
+
+
+def _on_cpu(value):
+    """Nested dicts, lists and tuples with every tensor in the computer's own memory."""
+    if isinstance(value, torch.Tensor):
+        return value.cpu()
+    if isinstance(value, dict):
+        return {key: _on_cpu(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(_on_cpu(item) for item in value)
+    return value

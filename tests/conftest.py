@@ -15,7 +15,7 @@ import reference
 from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
-from learner.update import LearnerState
+from learner.state import LearnerState
 from motion.formats import read_clip
 from motion.state_machine import ClipConfig, MotionsConfig, State, StateMachine, build_state_machine
 from orchestrator.config import Config

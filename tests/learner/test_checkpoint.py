@@ -19,7 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from learner import checkpoint, storage
-from learner.update import LearnerState, update
+from learner.state import LearnerState
+from learner.update import update
 from motion.errors import InputError
 
 # A file of every schema, by the version that introduced it: network.hidden=[4], two simulations, two iterations

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from learner.gae import advantages
-from learner.update import LearnerState, update
+from learner.state import LearnerState
+from learner.update import update
 from workers.types import CONTINUES, FELL, REACHED, TIMED_OUT
 
 

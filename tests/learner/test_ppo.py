@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from learner import ppo
 from learner.config import PPOConfig
-from learner.update import LearnerState, update
+from learner.state import LearnerState
+from learner.update import update
 
 
 def batch(seed, count=12, spread=0.05):

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from learner import sbc
 from learner.config import SBCConfig
-from learner.update import LearnerState, update
+from learner.state import LearnerState
+from learner.update import update
 from motion import skeleton
 from workers.action import decode
 from workers.rollout import Rollout

@@ -9,8 +9,10 @@ import pytest
 import torch
 
 from learner import ppo, sbc
+from learner.batch import concatenate_chunks
 from learner.normalizer import Normalizer
-from learner.update import LearnerState, concatenate_chunks, update
+from learner.state import LearnerState
+from learner.update import update
 from workers.inference import PolicyNetwork
 from workers.rollout import Rollout
 from workers.types import REACHED, Chunk, Outcomes

@@ -1,0 +1,103 @@
+"""The learner's state between two updates."""
+
+import copy
+
+import numpy as np
+import torch
+
+from learner.kfac import KFAC
+from learner.networks import build_networks, snapshot
+from learner.normalizer import Normalizer
+from workers.observation import OBSERVATION_SIZE
+
+# Streams of the learner's random numbers
+SHUFFLE, DEMONSTRATIONS = 0, 1
+
+
+class LearnerState:
+    """All that the learner is between two updates: networks, optimizers, normalizers, the policy's learning rate.
+
+    config: `learner.config.LearnerConfig`. `updates` counts the updates so far, `skipped` those of the last ones in a
+    row that changed nothing (see `learner.update`). A demonstration's action is expressed in `action`
+    (`workers.config.ActionConfig`), which the acting policy used.
+    """
+
+    def __init__(self, config, action, seed, device="cpu"):
+        self.config, self.action, self.seed, self.device = config, action, seed, device
+        self.policy, self.value = build_networks(config.network, seed, device)
+        self.average = copy.deepcopy(self.policy) if config.policy.average else None
+        self.descend_by(config.ppo.method(0))
+        self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate, fused=True)
+        self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
+        self.returns = Normalizer(1, config.ppo.normalize_values, device)
+        self.updates = self.skipped = 0
+
+    _PARTS = ("policy", "value", "policy_optimizer", "value_optimizer", "observations", "returns")
+    _NUMBERS = ("learning_rate", "updates", "skipped")
+
+    @property
+    def method(self):
+        """`adam` or `kfac`: how the policy descends."""
+        return "kfac" if isinstance(self.policy_optimizer, KFAC) else "adam"
+
+    def descend_by(self, method):
+        """Let the policy begin anew with `adam` or `kfac`."""
+        config = self.config.ppo
+        if method == "kfac":
+            self.learning_rate = config.natural_rate
+            self.policy_optimizer = KFAC(self.policy, self.learning_rate, config.damping)
+        else:
+            self.learning_rate = config.learning_rate
+            self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
+
+    def descend(self, name, loss):
+        """One step of the network `policy` or `value` down the gradient of a loss, clipped; its norm before that."""
+        network, optimizer = getattr(self, name), getattr(self, f"{name}_optimizer")
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(network.parameters(), self.config.ppo.max_grad_norm)
+        optimizer.step()
+        return norm
+
+    def follow(self):
+        """Move the averaged weights towards the policy's: a plain mean at first, an exponential one in the long run."""
+        if self.average is None:
+            return
+        decay = min(self.config.policy.average, self.updates / (self.updates + 1))
+        with torch.no_grad():
+            for mean, weight in zip(self.average.parameters(), self.policy.parameters(), strict=True):
+                mean.lerp_(weight, 1 - decay)
+
+    def snapshot(self):
+        """The `workers.types.Policy` to act with."""
+        return snapshot(
+            self.policy, self.average, self.observations, self.config.policy, self.action.scale, self.updates
+        )
+
+    def state_dict(self):
+        """Plain tensors and numbers for a checkpoint; shares memory with the networks."""
+        parts = {name: getattr(self, name).state_dict() for name in self._PARTS}
+        parts["average"] = self.average and self.average.state_dict()
+        numbers = {name: getattr(self, name) for name in self._NUMBERS}
+        return {**parts, **numbers}
+
+    def load_state_dict(self, state):
+        """Become the learner that made `state`."""
+        self.descend_by("kfac" if "factors" in state["policy_optimizer"] else "adam")
+        for name in self._PARTS:
+            getattr(self, name).load_state_dict(state[name])
+        if self.average:
+            self.average.load_state_dict(state["average"] or state["policy"])
+        for name in self._NUMBERS:
+            setattr(self, name, state[name])
+
+    def random(self, stream):
+        """The random numbers of one purpose in the next update, a function of (seed, purpose, update)."""
+        return np.random.Generator(np.random.Philox(key=[self.seed, 2**32 * stream + self.updates]))
+
+    def is_finite(self):
+        """Whether every parameter and every normalizer's number is."""
+        tensors = [*self.policy.parameters(), *self.value.parameters()]
+        for normalizer in (self.observations, self.returns):
+            tensors += [normalizer.mean, normalizer.squares]
+        return bool(torch.stack([torch.isfinite(tensor).all() for tensor in tensors]).all())
