@@ -2,6 +2,7 @@
 
 import http.server
 import json
+import math
 import sqlite3
 import threading
 import time
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from docs import make_curves
+from motion.errors import InputError
 from orchestrator import mlflow_store
 from orchestrator.folder import prepare
 from orchestrator.mlflow_store import RunSpec
@@ -91,6 +94,36 @@ def test_a_continued_run_has_every_step_once(tmp_path, uri):
     run = runs["ours-seed0"]
     assert steps_of(client, run) == list(range(1, 401))
     assert run.info.status == "FINISHED"
+
+
+def test_figures_read_what_was_logged(tmp_path, uri):
+    keys = [key for key, _ in make_curves.PANELS]
+    lines = [{"samples": 64 * step, **dict.fromkeys(keys, step / 2)} for step in range(1, 301)]
+    lines[6]["achievement"] = None
+    spec = spec_of(tmp_path / "run")
+    with open(spec.folder / "metrics.jsonl", "w") as file:
+        for step, line in enumerate(lines, 1):
+            file.write(json.dumps({"iteration": step, "perf/time": 1000.0 + step, **line}) + "\n")
+    evaluation = {"tasks": 4, "by_accuracy": [{"reached": 3}, {"reached": 1}]}
+    (spec.folder / "evaluation.json").write_text(json.dumps(evaluation))
+    tracker = Tracker(uri, "figures", spec)
+    tracker.wake()
+    assert tracker.finish("FINISHED", files=[spec.folder / "evaluation.json"])
+    Tracker(uri, "figures", spec_of(tmp_path / "again")).finish("FAILED")  # of the same name, without a step
+    for chosen, label in (((), "ours-seed0"), (["ours-seed0=Ours"], "Ours")):
+        (curves,) = make_curves.read(uri, "figures", chosen)
+        assert (curves.label, curves.shares) == (label, [0.75, 0.25])
+        assert curves.samples.tolist() == [line["samples"] for line in lines]
+        for key in keys:
+            wanted = [math.nan if line[key] is None else line[key] for line in lines]
+            assert curves.values[key].tolist() == pytest.approx(wanted, abs=0, rel=0, nan_ok=True)
+    with pytest.raises(InputError, match="no training run 'no_sbc-seed0'; there are: ours-seed0$"):
+        make_curves.read(uri, "figures", ["no_sbc-seed0"])
+    with pytest.raises(InputError, match="no experiment 'figure'; there are: .*figures"):
+        make_curves.read(uri, "figure")
+    with pytest.raises(InputError, match="no such database"):
+        make_curves.read(f"sqlite:///{tmp_path}/none.db", "figures")
+    assert not (tmp_path / "none.db").exists()
 
 
 def test_a_run_whose_id_was_not_noted_is_found_again(tmp_path, uri):
