@@ -72,7 +72,7 @@ def ui_hint(uri):
 
 
 def make_client(uri):
-    """MlflowClient of an address. For SQLite makes the file's folder; mlflow makes the tables on first use."""
+    """MlflowClient of an address. For SQLite makes the database, with its folder, if it is not there."""
     import logging
 
     from mlflow import MlflowClient
@@ -81,7 +81,33 @@ def make_client(uri):
     logging.getLogger("alembic").setLevel(logging.WARNING)
     if path := sqlite_path(uri):
         path.parent.mkdir(parents=True, exist_ok=True)
+        make_database(path)
     return MlflowClient(tracking_uri=uri)
+
+
+def make_database(path):
+    """MLflow's SQLite database at once or not at all, by `mlflow db upgrade`; nothing if it is there.
+
+    MLflow itself would make it in place, in some fifty steps of several seconds in all: a run stopped meanwhile leaves
+    a file that no MLflow opens any more, and two runs that start together disturb each other.
+    """
+    if _is_database(path):
+        return
+    with open(path.with_name(f".{path.name}.lock"), "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if _is_database(path):  # another process was faster
+            return
+        from mlflow.db import commands
+
+        new = path.with_name(path.name + ".new")
+        for left in (new, path.with_name(new.name + "-journal")):  # by a process that was killed
+            left.unlink(missing_ok=True)
+        commands(["upgrade", f"sqlite:///{new}"], standalone_mode=False)
+        os.replace(new, path)
+
+
+def _is_database(path):
+    return path.exists() and path.stat().st_size > 0
 
 
 def ensure_experiment(client, uri, name):
