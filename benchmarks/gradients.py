@@ -14,7 +14,6 @@ share     of SBC in what both pull in the mean, each chunk's gradient cut to ppo
 
 import argparse
 import json
-import math
 
 import numpy as np
 import torch
@@ -122,7 +121,7 @@ def of_ppo(state, chunk):
     mean, action = state.policy(inputs[rows]), torch.as_tensor(chunk.action.reshape(samples, -1))[rows]
     loss, _, _ = ppo.policy_loss(
         mean, action, mean.detach(), mean.detach(), (advantage - advantage.mean()) / advantage.std(),
-        math.exp(chunk.log_sigma), config.ppo.clip,
+        torch.as_tensor(np.exp(chunk.log_sigma.reshape(-1)))[rows], config.ppo.clip,
     )  # fmt: skip
     return gradient_of(loss, state.policy)
 

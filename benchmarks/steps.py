@@ -37,7 +37,7 @@ def measure(config, content, chunks, lambdas):
     state.load_state_dict(content["parts"][0])
     kfac, rng = KFAC(state.policy, 1.0, config.ppo.damping), np.random.default_rng(0)
     descents = {f"ppo, lambda {lam:g}": [] for lam in lambdas} | {"sbc": []}
-    inputs = []
+    inputs, sigma = [], []
     for chunk in collect(config, content, chunks):
         for lam in lambdas:
             state.config.ppo.gae_lambda = lam
@@ -45,9 +45,11 @@ def measure(config, content, chunks, lambdas):
         descents["sbc"].append(-of_sbc(state, chunk, rng)[0])
         with torch.no_grad():
             observation = torch.as_tensor(chunk.observation.reshape(chunk.end.size, -1))
-            inputs.append(state.observations(observation)[:: max(1, len(observation) // 256)])
-            kfac.observe(inputs[-1], math.exp(chunk.log_sigma))
-    inputs, sigma = torch.cat(inputs), math.exp(chunk.log_sigma)
+            some = slice(None, None, max(1, len(observation) // 256))
+            inputs.append(state.observations(observation)[some])
+            sigma.append(torch.as_tensor(np.exp(chunk.log_sigma.reshape(-1)[some])))
+            kfac.observe(inputs[-1], sigma[-1])
+    inputs, sigma = torch.cat(inputs), torch.cat(sigma)
     true = np.array(descents[f"ppo, lambda {lambdas[0]:g}"])
     return {
         f"{loss}, {name}": gain(true, [step(d) for d in some], lambda v: distance(state.policy, inputs, sigma, v))
@@ -81,7 +83,7 @@ def distance(policy, inputs, sigma, v):
     values = {name: value.detach() for name, value in named.items()}
     with torch.no_grad():
         _, moved = torch.func.jvp(lambda w: torch.func.functional_call(policy, w, (inputs,)), (values,), (tangent,))
-    return math.sqrt((moved**2).sum(dim=-1).mean().item()) / sigma
+    return math.sqrt(((moved / sigma[:, None]) ** 2).sum(dim=-1).mean().item())
 
 
 def parts(policy, vector):

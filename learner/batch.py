@@ -1,6 +1,5 @@
 """What an update learns from: the chunks of all workers as one batch of tensors, with advantages and returns."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,8 @@ class Batch:
     inputs: (S, 282), normalized observations. action, acting_mean, anchor_mean: (S, 31), as in `ppo.policy_loss`.
     advantage: (S,), of mean 0 and deviation 1 over the exploring samples. wanted_value: (S,), returns in the value
     network's scale. explored: (E,) int array, the exploring environments' samples. minibatches: how many an epoch has.
-    sigma: standard deviation of their actions. value_error: the value network's mean absolute error, in reward.
+    sigma: (S,) float64, standard deviation of exploring environments' actions. value_error: the value network's mean
+    absolute error, in reward.
     """
 
     inputs: torch.Tensor
@@ -28,7 +28,7 @@ class Batch:
     wanted_value: torch.Tensor
     explored: np.ndarray
     minibatches: int
-    sigma: float
+    sigma: torch.Tensor
     value_error: float
 
 
@@ -62,9 +62,14 @@ def prepare(state, chunk):
         wanted_value=(tensor(returns.reshape(-1)) - return_mean) * return_scale,
         explored=explored,
         minibatches=-(-len(explored) // config.ppo.minibatch_size),
-        sigma=math.exp(chunk.log_sigma),
+        sigma=tensor(np.exp(chunk.log_sigma.reshape(-1))),
         value_error=value_error,
     )
+
+
+def typical(sigma):
+    """The deviation whose 1 / sigma^2 is the mean of those of sigma (n,)."""
+    return (1 / sigma**2).mean().item() ** -0.5
 
 
 def concatenate_chunks(chunks):
@@ -80,10 +85,11 @@ def concatenate_chunks(chunks):
         final_observation=np.concatenate([chunk.final_observation for chunk in chunks])[order],
         outcomes=concatenate_outcomes(outcomes),
         version=chunks[0].version,
-        log_sigma=chunks[0].log_sigma,
         **{
             name: np.concatenate([getattr(chunk, name) for chunk in chunks], axis=1)
-            for name in ("observation", "action", "mean", "reward", "end", "pose", "next_pose", "pd_target")
+            for name in (
+                "observation", "action", "mean", "reward", "end", "pose", "next_pose", "pd_target", "log_sigma",
+            )  # fmt: skip
         },
     )
 

@@ -28,8 +28,8 @@ class PolicyConfig:
     judge_log_sigma: float = -3.7
     """Log of the standard deviation of judging environments' actions, in radians (as `evaluation.log_sigma`)."""
     sigma_factor: float = 1.0
-    """Every tightening of the run's thresholds multiplies the standard deviation by this, down to judges' own: what has
-    to be met more exactly is explored more finely. 1, the paper: fixed."""
+    """Every tightening of a task's thresholds multiplies the standard deviation of its actions by this, down to judges'
+    own: what has to be met more exactly is explored more finely. 1, the paper: fixed."""
     average: float = 0.0
     """Decay per update of a running average of the policy's weights, which judging environments act with and which is
     evaluated: large steps wander around what their average already is. 0, the paper: none."""

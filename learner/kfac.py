@@ -1,10 +1,11 @@
 """K-FAC: the natural gradient of the policy, its Fisher information approximated layer by layer as a Kronecker product.
 
-The trust region limits how far the policy's means move, F = E[J' J] / sigma^2 with J the Jacobian of the 31 means by
-the weights. For a Gaussian policy of fixed sigma this is its Fisher information, and F^-1 g is the direction that gains
+The trust region limits how far the policy's means move, F = E[J' J / sigma^2] with J the Jacobian of the 31 means by
+the weights. For a Gaussian policy of given sigma this is its Fisher information, and F^-1 g is the direction that gains
 most for a given KL divergence (Kakade, "A natural policy gradient", 2001). Of a layer that computes s = W x, F is
 nearly A (x) G with A = E[x x'] and G = E[J_s' J_s] / sigma^2, so that F^-1 g = G^-1 g A^-1 (Martens and Grosse,
-"Optimizing neural networks with Kronecker-factored approximate curvature", 2015).
+"Optimizing neural networks with Kronecker-factored approximate curvature", 2015). Where sigma differs between samples,
+both means have the weights 1 / sigma^2.
 """
 
 import torch
@@ -44,7 +45,8 @@ class KFAC:
 
     @torch.no_grad()
     def observe(self, inputs, sigma):
-        """Let the factors take in the network as it is, at inputs (n, 282): plain means at first, then running ones."""
+        """Let the factors take in the network as it is, at inputs (n, 282) at which actions have the deviation sigma
+        (n,): plain means at first, then running ones."""
         decay = min(MEMORY, self._seen / (self._seen + 1))
         self._seen += 1
         self._inverses = []
@@ -76,17 +78,20 @@ class KFAC:
 
 def factors(layers, inputs, sigma):
     """[(A, G)] of the linear layers of an MLP: means over inputs (n, 282) of x x' with x (n, in + 1), a one appended,
-    and of J_s' J_s / sigma^2, J_s (n, 31, out) the Jacobian of the network's outputs by the layer's."""
+    weighted by 1 / sigma^2, sigma (n,), and of J_s' J_s / sigma^2, J_s (n, 31, out) the Jacobian of the network's
+    outputs by the layer's."""
+    precision = 1 / sigma.double() ** 2
+    weight = (precision / precision.mean()).to(inputs.dtype)
     seen, hidden = [], inputs
     for layer in layers:
         seen.append(torch.cat([hidden, hidden.new_ones(len(hidden), 1)], dim=1))
         hidden = torch.relu(layer(hidden))  # that of the last layer is not used
     n, outputs = len(inputs), layers[-1].out_features
-    jacobian = torch.eye(outputs, dtype=inputs.dtype, device=inputs.device).expand(n, outputs, outputs)
+    jacobian = torch.eye(outputs, dtype=inputs.dtype, device=inputs.device) * weight.sqrt()[:, None, None]
     found = []
     for i in reversed(range(len(layers))):
         rows = jacobian.reshape(n * outputs, -1)
-        found.append((seen[i].T @ seen[i] / n, rows.T @ rows / (n * sigma**2)))
+        found.append(((seen[i] * weight[:, None]).T @ seen[i] / n, rows.T @ rows / (n / precision.mean().item())))
         if i:
             jacobian = (jacobian @ layers[i].weight) * (seen[i][:, None, :-1] > 0)
     return found[::-1]

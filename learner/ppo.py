@@ -10,12 +10,19 @@ _LOG_WEIGHT = math.log(2.0)  # of the weight of a sample in the pipelined loss
 
 
 def log_probability(action, mean, sigma):
-    """Log density (n,) of actions (n, 31) up to a constant, which cancels in ratios as sigma is the same."""
-    return -((action - mean) ** 2).sum(dim=-1) / (2 * sigma**2)
+    """Log density (n,) of actions (n, 31) of deviation sigma (n,), up to a constant, which cancels in ratios."""
+    return -_distance(action, mean, sigma)
+
+
+def _distance(one, other, sigma):
+    """Half the squared distance of rows (n, 31) in units of sigma (n,): KL divergence of Gaussians with these means."""
+    return ((one - other) ** 2).sum(dim=-1) / (2 * sigma**2).to(one.dtype)
 
 
 def policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip):
     """(clipped surrogate loss, mean KL divergence from the anchor, share of clipped ratios); means (n, 31).
+
+    sigma: (n,), standard deviation of the actions.
 
     acting_mean: of the policy that collected the action; anchor_mean: of the learner's policy when the update began.
     With pipeline_depth = 0 the two are the same and this is PPO. With depth 1 the acting policy is one update older;
@@ -30,7 +37,7 @@ def policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip):
     ratio = torch.exp((log_probability(action, mean, sigma) - anchor).clamp(-_LOG_LIMIT, _LOG_LIMIT))
     loss = -(weight * torch.min(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage)).mean()
     with torch.no_grad():
-        divergence = ((mean - anchor_mean) ** 2).sum(dim=-1).mean() / (2 * sigma**2)
+        divergence = _distance(mean, anchor_mean, sigma).mean()
         clipped = ((ratio - 1).abs() > clip).float().mean()
     return loss, divergence, clipped
 

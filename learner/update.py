@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from learner import ppo
-from learner.batch import concatenate_chunks, prepare
+from learner.batch import concatenate_chunks, prepare, typical
 from learner.demonstrator import Demonstrator
 from learner.state import SHUFFLE
 
@@ -29,7 +29,7 @@ def update(state, chunks):
     demonstrator = Demonstrator(state, chunk, config.sbc.batch_size or -(-len(batch.explored) // batch.minibatches))
     metrics, divergence = _epochs(state, batch, demonstrator)
     metrics["policy/learning_rate"] = state.learning_rate
-    metrics["policy/sigma"] = batch.sigma * state.action.scale
+    metrics["policy/sigma"] = typical(batch.sigma[batch.explored]) * state.action.scale
     metrics["value/error"] = batch.value_error
     metrics["sbc/valid_pairs"] = demonstrator.valid_share
     # after the epochs, so that they see observations as the acting policy did
@@ -79,8 +79,11 @@ def _ready(state, batch, demonstrator, shuffle):
     if method == "kfac":
         # both losses' inputs: where PPO's hardly vary, their own curvature alone would let steps of SBC diverge
         some = shuffle.permutation(batch.explored)[: state.config.ppo.minibatch_size]
-        inputs = batch.inputs[torch.as_tensor(some, device=state.device)]
-        state.policy_optimizer.observe(torch.cat([inputs, *demonstrator.inputs()]), batch.sigma)
+        rows = torch.as_tensor(some, device=state.device)
+        inputs = torch.cat([batch.inputs[rows], *demonstrator.inputs()])
+        sigma = batch.sigma.new_full([len(inputs)], typical(batch.sigma[rows]))
+        sigma[: len(rows)] = batch.sigma[rows]
+        state.policy_optimizer.observe(inputs, sigma)
 
 
 def _step(state, batch, rows):
@@ -88,7 +91,7 @@ def _step(state, batch, rows):
     inputs = batch.inputs[rows]
     loss, divergence, clipped = ppo.policy_loss(
         state.policy(inputs), batch.action[rows], batch.acting_mean[rows], batch.anchor_mean[rows],
-        batch.advantage[rows], batch.sigma, state.config.ppo.clip,
+        batch.advantage[rows], batch.sigma[rows], state.config.ppo.clip,
     )  # fmt: skip
     norm = state.descend("policy", loss)
     value_loss = ((state.value(inputs).squeeze(-1) - batch.wanted_value[rows]) ** 2).mean()

@@ -273,8 +273,10 @@ def columns():
         ended = np.isin(chunk.outcomes.environment, chunk.environment[where])
         over_time = {
             name: np.ascontiguousarray(getattr(chunk, name)[:, where])
-            for name in ("observation", "action", "mean", "reward", "end", "pose", "next_pose", "pd_target")
-        }
+            for name in (
+                "observation", "action", "mean", "reward", "end", "pose", "next_pose", "pd_target", "log_sigma",
+            )
+        }  # fmt: skip
         return dataclasses.replace(
             chunk,
             environment=chunk.environment[where],

@@ -39,25 +39,26 @@ class Rollout:
         judge_network = PolicyNetwork(policy.averaged(), len(judges)) if len(judges) else None
         # judges draw all tasks alike, as the evaluation does
         focus = np.where(judged, 0.0, env.config.task.focus)
-        log_sigma = policy.exploring_log_sigma(thresholds.tightenings)
-        noise = ActionNoise(policy, self._seed, index, clock, log_sigma)
+        noise = ActionNoise(policy, self._seed, index, clock)
 
         observation = new_observations(horizon, n)
         action = np.empty((horizon, n, NUM_DOF), dtype=np.float32)
         mean = np.empty_like(action)
         pd_target = np.empty_like(action)
+        log_sigma = np.empty((horizon, n))
         reward = np.empty((horizon, n), dtype=np.float32)
         end = np.empty((horizon, n), dtype=np.int8)
         pose = np.empty((horizon, n, NQ + NV), dtype=np.float32)
         next_pose = np.empty_like(pose)
-        nobody = np.zeros(0, dtype=np.int64)
+        everybody, nobody = np.arange(n), np.zeros(0, dtype=np.int64)
         final, ended = [env.observe(new_observations(0), nobody)], [outcomes(env, clock, index, nobody, thresholds)]
         for t in range(horizon):
             env.observe(observation[t])
             mean[t] = network.mean(observation[t])
             if judge_network:
                 mean[t, judges] = judge_network.mean(observation[t, judges])
-            action[t] = mean[t] + noise.next()
+            log_sigma[t] = policy.exploring_log_sigma(tightenings(env, thresholds, everybody))
+            action[t] = mean[t] + noise.next(log_sigma[t])
             pose[t, :, :NQ], pose[t, :, NQ:] = env.qpos, env.qvel
             env.step(action[t], thresholds)
             clock += 1
@@ -90,6 +91,11 @@ class Rollout:
         return chunk, env.save(index, episode, clock)
 
 
+def tightenings(env, thresholds, ids):
+    """(N,) int64, how often the thresholds of the tasks in rows ids of an environment were cut."""
+    return thresholds.of(env.groups(thresholds, ids))[:, 4].astype(np.int64)
+
+
 def outcomes(env, clock, index, ids, thresholds):
     """The `Outcomes` of rows ids of an environment, whose episodes have just ended under `Thresholds`."""
     return Outcomes(
@@ -99,7 +105,7 @@ def outcomes(env, clock, index, ids, thresholds):
         retained=env.retained[ids],
         end=env.end[ids],
         fell_on=env.fell_on[ids],
-        tightenings=thresholds.of(env.groups(thresholds, ids))[:, 4].astype(np.int64),
+        tightenings=tightenings(env, thresholds, ids),
         steps=env.steps[ids],
         trembles=env.trembles[ids],
         parts=env.totals[ids],

@@ -70,11 +70,11 @@ class Policy:
     sigma_factor: float = 1.0
 
     def exploring_log_sigma(self, tightenings):
-        """Log standard deviation of exploring environments' actions after so many cuts of the thresholds."""
+        """Log standard deviation of exploring environments' actions after so many cuts of thresholds, both (N,)."""
         if self.sigma_factor == 1.0:
-            return self.log_sigma
+            return np.full(len(tightenings), self.log_sigma)
         smallest = min(self.log_sigma, self.judge_log_sigma)
-        return max(self.log_sigma + tightenings * math.log(self.sigma_factor), smallest)
+        return np.maximum(self.log_sigma + tightenings * math.log(self.sigma_factor), smallest)
 
     def averaged(self):
         """The policy that judging environments act with and that is evaluated: of the averaged weights, if any."""
@@ -188,7 +188,8 @@ class Chunk:
     pose: (T, N, 84), qpos and qvel before the step. next_pose: (T, N, 84), after it, before any reset.
     pd_target: (T, N, 31), joint coordinates that the step's PD controllers aimed at.
     outcomes: the episodes that ended.
-    version: version of the policy that acted. log_sigma: log standard deviation of its actions but for judges'.
+    version: version of the policy that acted.
+    log_sigma: (T, N) float64, log standard deviation of its actions; not that of judges.
     """
 
     environment: np.ndarray
@@ -204,4 +205,4 @@ class Chunk:
     pd_target: np.ndarray
     outcomes: Outcomes
     version: int
-    log_sigma: float
+    log_sigma: np.ndarray

@@ -15,13 +15,13 @@ from orchestrator.run import train
 def test_the_distance_is_how_far_the_means_move_for_a_small_step():
     torch.manual_seed(0)
     policy = nn.Sequential(nn.Linear(3, 5), nn.ReLU(), nn.Linear(5, 2)).double()
-    inputs, sigma = torch.randn(50, 3, dtype=torch.double), 0.2
+    inputs, sigma = torch.randn(50, 3, dtype=torch.double), torch.linspace(0.1, 0.3, 50)
     v = np.random.default_rng(0).normal(size=sum(p.numel() for p in policy.parameters()))
     before, small = policy(inputs), 1e-7
     with torch.no_grad():
         for parameter, part in zip(policy.parameters(), steps.parts(policy, v)):
             parameter += small * part
-    moved = ((policy(inputs) - before) / small / sigma).pow(2).sum(dim=-1).mean().sqrt().item()
+    moved = ((policy(inputs) - before) / small / sigma[:, None]).pow(2).sum(dim=-1).mean().sqrt().item()
     assert steps.distance(policy, inputs, sigma, v) == pytest.approx(moved, rel=1e-4)
 
 

@@ -29,6 +29,12 @@ def numbers(*shape, seed=0):
     return torch.as_tensor(np.random.default_rng(seed).normal(size=shape))
 
 
+def sigmas(n, seed=None):
+    """Deviations of the outputs at n inputs: all alike, or random."""
+    alike = torch.full([n], SIGMA, dtype=torch.double)
+    return alike if seed is None else alike * torch.as_tensor(np.random.default_rng(seed).uniform(0.3, 3.0, n))
+
+
 def gradient(net, seed):
     """Random numbers as gradients of all parameters."""
     for i, parameter in enumerate(net.parameters()):
@@ -39,35 +45,36 @@ def gradient(net, seed):
 @given(st.integers(0, 2**31), st.lists(st.integers(1, 5), min_size=2, max_size=4), st.integers(1, 6))
 def test_the_factors_are_means_of_outer_products_over_single_inputs(seed, sizes, n):
     """Against the definition, one input and one output at a time, by automatic differentiation."""
-    net, inputs = network(sizes, seed), numbers(n, sizes[0], seed=seed)
+    net, inputs, sigma = network(sizes, seed), numbers(n, sizes[0], seed=seed), sigmas(n, seed)
+    share = sigma**-2 / sum(sigma**-2)
     layers = [layer for layer in net if isinstance(layer, nn.Linear)]
     wanted = [[0.0, 0.0] for _ in layers]
-    for x in inputs:
+    for x, deviation, weight in zip(inputs, sigma, share, strict=True):
         hidden, before, after = x, [], []
         for layer in layers:
             before.append(torch.cat([hidden, torch.ones(1, dtype=hidden.dtype)]).detach())
             after.append(layer(hidden))
             hidden = torch.relu(after[-1])
         for i, s in enumerate(after):
-            wanted[i][0] += torch.outer(before[i], before[i]) / n
+            wanted[i][0] += torch.outer(before[i], before[i]) * weight
             for output in after[-1]:
                 (row,) = torch.autograd.grad(output, s, retain_graph=True)
-                wanted[i][1] += torch.outer(row, row) / (n * SIGMA**2)
+                wanted[i][1] += torch.outer(row, row) / (n * deviation**2)
     with torch.no_grad():
-        found = factors(layers, inputs, SIGMA)
+        found = factors(layers, inputs, sigma)
     for (a, g), (wanted_a, wanted_g) in zip(found, wanted, strict=True):
         torch.testing.assert_close(a, wanted_a)
         torch.testing.assert_close(g, wanted_g)
 
 
-def fisher(net, inputs):
+def fisher(net, inputs, sigma):
     """The Fisher information of a network's Gaussian outputs at inputs, dense, over its parameters in their order."""
     rows = []
-    for x in inputs:
+    for x, deviation in zip(inputs, sigma, strict=True):
         for output in net(x):
-            rows.append(flat(torch.autograd.grad(output, list(net.parameters()), retain_graph=True)))
+            rows.append(flat(torch.autograd.grad(output / deviation, list(net.parameters()), retain_graph=True)))
     jacobian = torch.stack(rows)
-    return jacobian.T @ jacobian / (len(inputs) * SIGMA**2)
+    return jacobian.T @ jacobian / len(inputs)
 
 
 def flat(tensors):
@@ -78,11 +85,11 @@ def flat(tensors):
 @given(st.integers(0, 2**31), st.integers(1, 4), st.integers(1, 4))
 def test_a_single_layers_step_is_the_natural_gradient(seed, wide, high):
     """There the Kronecker product is no approximation: F^-1 g by the dense Fisher information of all parameters."""
-    net, inputs = network([wide, high], seed), numbers(40, wide, seed=seed)
+    net, inputs, sigma = network([wide, high], seed), numbers(40, wide, seed=seed), sigmas(40, seed)
     optimizer = KFAC(net, 0.1, 1e-12)
-    optimizer.observe(inputs, SIGMA)
+    optimizer.observe(inputs, sigma)
     gradient(net, seed)
-    natural = torch.linalg.solve(fisher(net, inputs), flat(p.grad for p in net.parameters()))
+    natural = torch.linalg.solve(fisher(net, inputs, sigma), flat(p.grad for p in net.parameters()))
     before = flat(net.parameters())
     optimizer.step()
     torch.testing.assert_close(before - flat(net.parameters()), 0.1 * natural, rtol=1e-5, atol=1e-8)
@@ -103,7 +110,7 @@ def test_the_step_does_not_depend_on_how_inputs_are_scaled_and_mixed(seed):
     target, after = numbers(n, 3, seed=seed + 3), []
     for net, inputs in ((one, x), (other, y)):
         optimizer = KFAC(net, 0.05, 1e-11)
-        optimizer.observe(inputs, SIGMA)
+        optimizer.observe(inputs, sigmas(len(inputs)))
         ((net(inputs) - target) ** 2).mean().backward()
         # the hidden layer's factors may be singular (units that are never on): those of the first decide here
         optimizer._inverses[0][1] = torch.eye(5, dtype=torch.double)
@@ -122,12 +129,12 @@ def test_factors_are_a_plain_mean_at_first_and_a_running_one_in_the_long_run():
     net = network([1, 1], 0)
     optimizer = KFAC(net, 1.0, 0.1)
     for x in (1.0, 2.0, 3.0):
-        optimizer.observe(torch.full((1, 1), x, dtype=torch.double), SIGMA)
+        optimizer.observe(torch.full((1, 1), x, dtype=torch.double), sigmas(1))
     ((a, g),) = optimizer.state_dict()["factors"]
     torch.testing.assert_close(a, torch.tensor([[14 / 3, 2], [2, 1]], dtype=torch.double))
     torch.testing.assert_close(g, torch.full((1, 1), 1 / SIGMA**2, dtype=torch.double))
     for _ in range(200):
-        optimizer.observe(torch.zeros(1, 1, dtype=torch.double), SIGMA)
+        optimizer.observe(torch.zeros(1, 1, dtype=torch.double), sigmas(1))
     expected = 14 / 3 * math.prod(min(kfac.MEMORY, k / (k + 1)) for k in range(3, 203))
     assert float(optimizer.state_dict()["factors"][0][0][0, 0]) == pytest.approx(expected)
 
@@ -135,11 +142,11 @@ def test_factors_are_a_plain_mean_at_first_and_a_running_one_in_the_long_run():
 def test_a_loaded_one_goes_on_as_the_one_that_was_saved():
     nets, after = [network([3, 4, 2], 0) for _ in range(2)], []
     first = KFAC(nets[0], 0.1, 0.01)
-    first.observe(numbers(9, 3), SIGMA)
+    first.observe(numbers(9, 3), sigmas(9))
     second = KFAC(nets[1], 0.1, 0.01)
     second.load_state_dict(copy.deepcopy(first.state_dict()))
     for net, optimizer in zip(nets, (first, second)):
-        optimizer.observe(numbers(9, 3, seed=1), SIGMA)
+        optimizer.observe(numbers(9, 3, seed=1), sigmas(9))
         gradient(net, 5)
         optimizer.step()
         after.append(flat(net.parameters()))
@@ -149,10 +156,10 @@ def test_a_loaded_one_goes_on_as_the_one_that_was_saved():
 def test_a_copy_has_its_own_factors_and_network():
     net = network([3, 4, 2], 0)
     optimizer = KFAC(net, 0.1, 0.01)
-    optimizer.observe(numbers(9, 3), SIGMA)
+    optimizer.observe(numbers(9, 3), sigmas(9))
     before, weights = copy.deepcopy(optimizer.state_dict()), flat(net.parameters())
     other, other_net = copy.deepcopy((optimizer, net))
-    other.observe(numbers(9, 3, seed=1), SIGMA)
+    other.observe(numbers(9, 3, seed=1), sigmas(9))
     gradient(other_net, 5)
     other.step()
     assert torch.equal(flat(net.parameters()), weights) and not torch.equal(flat(other_net.parameters()), weights)
@@ -166,7 +173,7 @@ def test_layers_that_nothing_depends_on_stay_and_the_others_learn():
     with torch.no_grad():
         net[2].weight.zero_()
     optimizer, before = KFAC(net, 0.1, 0.01), copy.deepcopy(net)
-    optimizer.observe(numbers(9, 3), SIGMA)
+    optimizer.observe(numbers(9, 3), sigmas(9))
     (net(numbers(9, 3)) ** 2 - net(numbers(9, 3))).mean().backward()
     optimizer.step()
     assert torch.equal(net[0].weight, before[0].weight) and not torch.equal(net[2].weight, before[2].weight)

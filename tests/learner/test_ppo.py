@@ -22,9 +22,9 @@ def batch(seed, count=12, spread=0.05):
 
 def test_log_probabilities_differ_as_those_of_a_normal_distribution():
     mean, action, old_mean, _ = batch(0)
-    sigma = 0.07
+    sigma = torch.linspace(0.05, 0.09, 12)
     got = ppo.log_probability(action, mean, sigma) - ppo.log_probability(action, old_mean, sigma)
-    wanted = [torch.distributions.Normal(m, sigma).log_prob(action).sum(-1) for m in (mean, old_mean)]
+    wanted = [torch.distributions.Normal(m, sigma[:, None]).log_prob(action).sum(-1) for m in (mean, old_mean)]
     torch.testing.assert_close(got, wanted[0] - wanted[1], rtol=1e-4, atol=1e-3)
 
 
@@ -36,21 +36,22 @@ def test_the_loss_is_the_clipped_surrogate_worked_out_row_by_row(seed, sigma, cl
     """With a lag, the ratio is clipped around the anchor and weighted by anchor over acting policy, at most 2."""
     mean, action, anchor_mean, advantage = batch(seed, spread=0.03)
     acting_mean = anchor_mean + lag * torch.randn(12, 31, generator=torch.Generator().manual_seed(seed + 1))
+    sigmas = [sigma * (1 + row / 12) for row in range(12)]
 
-    def log_density(action, mean):
+    def log_density(action, mean, sigma):
         return -sum((x - y) ** 2 for x, y in zip(action, mean, strict=True)) / (2 * sigma**2)
 
     total, divergence, clipped = 0.0, 0.0, 0
-    for m, a, old, o, adv in zip(
-        *(x.tolist() for x in (mean, action, acting_mean, anchor_mean, advantage)), strict=True
+    for m, a, old, o, adv, s in zip(
+        *(x.tolist() for x in (mean, action, acting_mean, anchor_mean, advantage)), sigmas, strict=True
     ):
-        weight = min(math.exp(log_density(a, o) - log_density(a, old)), 2.0)
-        ratio = math.exp(log_density(a, m) - log_density(a, o))
+        weight = min(math.exp(log_density(a, o, s) - log_density(a, old, s)), 2.0)
+        ratio = math.exp(log_density(a, m, s) - log_density(a, o, s))
         total += weight * min(ratio * adv, min(max(ratio, 1 - clip), 1 + clip) * adv)
-        divergence += sum((y - z) ** 2 for y, z in zip(m, o, strict=True)) / (2 * sigma**2)
+        divergence += sum((y - z) ** 2 for y, z in zip(m, o, strict=True)) / (2 * s**2)
         clipped += abs(ratio - 1) > clip
         assert lag > 0 or weight == 1.0
-    got = ppo.policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip)
+    got = ppo.policy_loss(mean, action, acting_mean, anchor_mean, advantage, torch.tensor(sigmas), clip)
     count = len(advantage)
     assert got[0].item() == pytest.approx(-total / count, rel=1e-3, abs=1e-4)
     assert got[1].item() == pytest.approx(divergence / count, rel=1e-4)
@@ -59,9 +60,10 @@ def test_the_loss_is_the_clipped_surrogate_worked_out_row_by_row(seed, sigma, cl
 
 def test_the_divergence_is_that_of_two_normal_distributions():
     mean, action, old_mean, advantage = batch(3)
-    _, got, _ = ppo.policy_loss(mean, action, old_mean, old_mean, advantage, 0.2, 0.2)
-    normal = torch.distributions.Normal
-    wanted = torch.distributions.kl_divergence(normal(old_mean, 0.2), normal(mean, 0.2)).sum(-1).mean()
+    sigma = torch.linspace(0.1, 0.3, 12)
+    _, got, _ = ppo.policy_loss(mean, action, old_mean, old_mean, advantage, sigma, 0.2)
+    normal, deviation = torch.distributions.Normal, sigma[:, None]
+    wanted = torch.distributions.kl_divergence(normal(old_mean, deviation), normal(mean, deviation)).sum(-1).mean()
     torch.testing.assert_close(got, wanted)
 
 
@@ -70,7 +72,8 @@ def test_the_gradient_vanishes_where_the_ratio_is_clipped():
     action, old_mean = torch.zeros(1, 31), torch.full((1, 31), 0.1)
     for advantage, moves in ((1.0, False), (-1.0, True)):
         mean = torch.full((1, 31), 0.01, requires_grad=True)
-        loss, _, clipped = ppo.policy_loss(mean, action, old_mean, old_mean, torch.tensor([advantage]), 0.2, 0.2)
+        advantages, sigma = torch.tensor([advantage]), torch.tensor([0.2])
+        loss, _, clipped = ppo.policy_loss(mean, action, old_mean, old_mean, advantages, sigma, 0.2)
         (gradient,) = torch.autograd.grad(loss, mean)
         assert clipped == 1.0 and (gradient.abs().max() > 0) == moves
 
@@ -79,7 +82,7 @@ def test_the_gradient_vanishes_where_the_ratio_is_clipped():
 @pytest.mark.parametrize("lag", [0.15, 0.5])
 def test_an_anchor_far_from_the_acting_policy_leaves_loss_and_gradient_finite(lag, advantage):
     """The first update's normalizer alone moves the mean that far; the true terms are of order one."""
-    sigma = math.exp(-2.9)
+    sigma = torch.tensor([math.exp(-2.9)])
     acting_mean, anchor_mean = torch.zeros(1, 31), torch.full((1, 31), lag)
     action = sigma * torch.randn(1, 31, generator=torch.Generator().manual_seed(0))
     mean = torch.full((1, 31), 0.01, requires_grad=True)

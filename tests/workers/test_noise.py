@@ -22,7 +22,7 @@ def draw(environment, t, window):
 
 def noise(policy, environment, clock, steps):
     source = ActionNoise(policy, SEED, np.asarray(environment), clock)
-    return np.array([source.next() for _ in range(steps)])
+    return np.array([source.next(np.full(len(environment), policy.log_sigma)) for _ in range(steps)])
 
 
 @settings(max_examples=40, deadline=None)

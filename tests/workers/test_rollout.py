@@ -72,11 +72,13 @@ def test_threads_change_no_number(threads, library, trajectories, make_policy, e
     assert_same_bits([chunks, state], [trajectories.chunks[:3], trajectories.states[3]])
 
 
-def test_every_task_is_judged_by_the_thresholds_of_its_group(library, trajectories, make_policy, easy, make_config):
+def test_every_task_is_judged_and_explored_by_the_thresholds_of_its_group(
+    library, trajectories, make_policy, easy, make_config
+):
     """Thresholds that differ between groups: each environment's numbers are those under its own ones for all alike."""
     config = make_config({"task.max_steps": 16, "task.stay_probability": 0.0, "reward.tremble_ramp": 3})
     rollout = Rollout(config, library, 24, HORIZON, SEED)
-    state, policy = rollout.initial_state(0), make_policy()
+    state, policy = rollout.initial_state(0), replace(make_policy(), sigma_factor=0.8)
     strict = replace(easy, root_position=0.01, tightenings=2)
     strict_groups = np.arange(len(library.groups)) % 2 == 1
     rows = [strict.of(np.zeros(1))[0] if own else easy.of(np.zeros(1))[0] for own in strict_groups]
@@ -90,6 +92,8 @@ def test_every_task_is_judged_by_the_thresholds_of_its_group(library, trajectori
         length = (np.flatnonzero(other.end[:, i]).tolist() or [HORIZON - 1])[0] + 1  # of the first episode
         np.testing.assert_array_equal(chunk.end[:length, i], other.end[:length, i])
         np.testing.assert_array_equal(chunk.reward[:length, i], other.reward[:length, i])
+        np.testing.assert_array_equal(chunk.action[:length, i], other.action[:length, i])
+        np.testing.assert_array_equal(chunk.log_sigma[:length, i], other.log_sigma[:length, i])
         reached[bool(own[i])] += (other.end[:length, i] == REACHED).any()
     assert reached[False] > reached[True]
     ended = chunk.outcomes
@@ -126,6 +130,7 @@ def test_a_chunk_has_the_documented_shapes_and_types(trajectories):
             "mean": ((t, n, 31), "float32"), "reward": ((t, n), "float32"), "end": ((t, n), "int8"),
             "last_observation": ((n, 282), "float32"), "final_observation": ((ended, 282), "float32"),
             "pose": ((t, n, 84), "float32"), "next_pose": ((t, n, 84), "float32"), "pd_target": ((t, n, 31), "float32"),
+            "log_sigma": ((t, n), "float64"),
         }  # fmt: skip
         for name, (shape, dtype) in wanted.items():
             array = getattr(chunk, name)
