@@ -95,7 +95,7 @@ def concatenate_chunks(chunks):
 
 
 def targets(state, chunk, inputs):
-    """(advantage, return), each (T, N), and the critic's mean absolute error, in units of reward.
+    """(advantage, return), each (T, N), and the value network's mean absolute error, in units of reward.
 
     inputs: the normalized observations of the chunk, (T * N, 282).
     """
@@ -103,7 +103,7 @@ def targets(state, chunk, inputs):
     mean, scale = (x.float() for x in state.returns.mean_and_scale())
 
     def value(observation):
-        return (state.critic(observation).squeeze(-1) / scale + mean).cpu().numpy()
+        return (state.value(observation).squeeze(-1) / scale + mean).cpu().numpy()
 
     def value_of(array):
         return value(state.observations(torch.as_tensor(array, device=state.device)))

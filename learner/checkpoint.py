@@ -2,8 +2,8 @@
 
 A file is a line of text and a payload:
 
-    segue checkpoint, schema 5, 79214 bytes, sha256 3f0c...
-    (torch.save of {"schema": 5, "content": ...}: tensors, numbers, strings, lists, dicts)
+    segue checkpoint, schema 4, 79214 bytes, sha256 3f0c...
+    (torch.save of {"schema": 4, "content": ...}: tensors, numbers, strings, lists, dicts)
 
 so that a file that was cut off, or in which a bit has turned, is known as such before anything is made of it. Files of
 schema 1 are the payload alone. What each schema changed in the content stands at `_UPGRADES`.
@@ -20,7 +20,7 @@ import torch
 from learner import storage
 from motion.errors import InputError
 
-SCHEMA = 5
+SCHEMA = 4
 
 _HEADER = re.compile(rb"segue checkpoint, schema (\d+), (\d+) bytes, sha256 ([0-9a-f]{64})\n")
 _NAME = re.compile(r"\d{8}\.pt")
@@ -148,14 +148,8 @@ def _from_schema_3(content):
     """Schema 4 may hold thresholds of every group, the curriculum's tracks and `sigma_factor` (all absent here)."""
 
 
-def _from_schema_4(content):
-    """Schema 5 may hold averaged weights of the value network (absent here)."""
-    if content.get("learner"):
-        content["learner"]["value_average"] = None
-
-
 # schema -> what turns its content, in place, into that of the next one
-_UPGRADES = {1: _from_schema_1, 2: _from_schema_2, 3: _from_schema_3, 4: _from_schema_4}
+_UPGRADES = {1: _from_schema_1, 2: _from_schema_2, 3: _from_schema_3}
 
 
 def _plain(value):

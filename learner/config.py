@@ -71,9 +71,6 @@ class PPOConfig:
     """Gradients are clipped to this norm."""
     max_skipped: int = 5
     """Stop the run when this many updates in a row were skipped, their losses or gradients not being finite."""
-    value_average: float = 0.0
-    """Decay per update of a running average of the value network's weights, which advantages and returns are made with:
-    it has seen more chunks than the last steps were made of. 0, the paper: none."""
     timeout: str = "terminal"
     """Value after a time-out: `terminal` (zero: it is a failure with a reward of its own, Eq. 9) or `bootstrap`
     (the value of the pose that it ended in)."""

@@ -26,7 +26,6 @@ class LearnerState:
         self.config, self.action, self.seed, self.device = config, action, seed, device
         self.policy, self.value = build_networks(config.network, seed, device)
         self.average = copy.deepcopy(self.policy) if config.policy.average else None
-        self.value_average = copy.deepcopy(self.value) if config.ppo.value_average else None
         self.descend_by(config.ppo.method(0))
         self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
@@ -60,22 +59,13 @@ class LearnerState:
         optimizer.step()
         return norm
 
-    @property
-    def critic(self):
-        """The value network that tells what a pose is worth: that of the averaged weights, if any."""
-        return self.value_average or self.value
-
     def follow(self):
-        """Move averaged weights towards their networks': a plain mean at first, an exponential one in the long run."""
-        self._follow(self.average, self.policy, self.config.policy.average)
-        self._follow(self.value_average, self.value, self.config.ppo.value_average)
-
-    def _follow(self, average, network, decay):
-        if average is None:
+        """Move the averaged weights towards the policy's: a plain mean at first, an exponential one in the long run."""
+        if self.average is None:
             return
-        decay = min(decay, self.updates / (self.updates + 1))
+        decay = min(self.config.policy.average, self.updates / (self.updates + 1))
         with torch.no_grad():
-            for mean, weight in zip(average.parameters(), network.parameters(), strict=True):
+            for mean, weight in zip(self.average.parameters(), self.policy.parameters(), strict=True):
                 mean.lerp_(weight, 1 - decay)
 
     def snapshot(self):
@@ -87,9 +77,7 @@ class LearnerState:
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint; shares memory with the networks."""
         parts = {name: getattr(self, name).state_dict() for name in self._PARTS}
-        for name in ("average", "value_average"):
-            average = getattr(self, name)
-            parts[name] = average and average.state_dict()
+        parts["average"] = self.average and self.average.state_dict()
         numbers = {name: getattr(self, name) for name in self._NUMBERS}
         return {**parts, **numbers}
 
@@ -100,8 +88,6 @@ class LearnerState:
             getattr(self, name).load_state_dict(state[name])
         if self.average:
             self.average.load_state_dict(state["average"] or state["policy"])
-        if self.value_average:
-            self.value_average.load_state_dict(state["value_average"] or state["value"])
         for name in self._NUMBERS:
             setattr(self, name, state[name])
 

@@ -68,7 +68,6 @@ RULES = {
     "policy.judge_log_sigma": FINITE,
     "policy.sigma_factor": ("above 0, at most 1", lambda v: 0 < v <= 1),
     "policy.average": ("from 0 to below 1", lambda v: 0 <= v < 1),
-    "ppo.value_average": ("from 0 to below 1", lambda v: 0 <= v < 1),
     "ppo.gamma": PROBABILITY,
     "ppo.gae_lambda": PROBABILITY,
     "ppo.clip": above(0),

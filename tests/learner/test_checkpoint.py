@@ -45,7 +45,7 @@ def test_nested_content_comes_back_exactly(tmp_path):
 
 @pytest.mark.parametrize("average", [0.0, 0.9])
 def test_a_learner_continues_from_its_checkpoint_bit_for_bit(average, tmp_path, lessons, make_config, assert_same_bits):
-    config = make_config({"ppo.target_kl": 0.01, "policy.average": average, "ppo.value_average": average / 2})
+    config = make_config({"ppo.target_kl": 0.01, "policy.average": average})
     state = LearnerState(config, config.action, seed=3)
     for chunk in lessons[:2]:
         state, _ = update(state, [chunk])
@@ -132,8 +132,6 @@ def test_a_checkpoint_of_an_older_schema_loads_as_one_of_todays(schema, assert_s
     assert content["learner"].pop("skipped") == 0
     if schema < 3:
         assert content["learner"].pop("average") is None
-    if schema < 5:
-        assert content["learner"].pop("value_average") is None
     raw["content"]["learner"].pop("skipped", None)
     assert_same_bits(content, raw["content"])
 

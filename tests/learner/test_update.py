@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from learner import ppo, sbc
-from learner.batch import concatenate_chunks, targets
+from learner.batch import concatenate_chunks
 from learner.normalizer import Normalizer
 from learner.state import LearnerState
 from learner.update import update
@@ -229,15 +229,6 @@ def test_judges_have_the_evaluations_noise_in_radians(make_config):
     assert (policy.judges, policy.noise_window, policy.log_sigma) == (8, 3, config.policy.log_sigma)
 
 
-def mean_of(history, decay):
-    """The running average of arrays, written out: a plain mean as long as a third or more is new."""
-    share = [1.0 / min(len(history), 3)] * len(history)
-    if len(history) > 3:
-        share = [decay ** (len(history) - 3) / 3] * 3
-        share += [(1 - decay) * decay ** (len(history) - k) for k in range(4, len(history) + 1)]
-    return sum(part * array for part, array in zip(share, history, strict=True))
-
-
 def test_the_average_is_the_mean_of_all_weights_first_and_exponential_then(lessons, make_config):
     """Against the same sum written out; the average itself changes nothing that is learned."""
     decay = 0.7  # the plain mean ends after the third update
@@ -247,33 +238,17 @@ def test_the_average_is_the_mean_of_all_weights_first_and_exponential_then(lesso
         state, _ = update(state, [chunk])
         plain, _ = update(plain, [chunk])
         history.append(state.snapshot().weights[0].astype(np.float64))
-        wanted = mean_of(history, decay)
+        share = [1.0 / min(len(history), 3)] * len(history)
+        if len(history) > 3:
+            share = [decay ** (len(history) - 3) / 3] * 3
+            share += [(1 - decay) * decay ** (len(history) - k) for k in range(4, len(history) + 1)]
+        wanted = sum(part * weights for part, weights in zip(share, history, strict=True))
         np.testing.assert_allclose(state.snapshot().average_weights[0], wanted, rtol=1e-4, atol=1e-6)
     np.testing.assert_array_equal(state.snapshot().weights[-1], plain.snapshot().weights[-1])
     assert plain.snapshot().average_weights == () and plain.snapshot().averaged() is not None
     averaged = state.snapshot().averaged()
     np.testing.assert_array_equal(averaged.weights[0], state.snapshot().average_weights[0])
     np.testing.assert_array_equal(averaged.biases[-1], state.snapshot().average_biases[-1])
-
-
-def test_advantages_are_made_with_the_running_average_of_the_value_networks_weights(lessons, make_config):
-    """Against a learner without one whose value network is that average, written out."""
-    decay = 0.7
-    state, history = learner(make_config({"ppo.value_average": decay})), []
-    for chunk in lessons[:5]:
-        state, _ = update(state, [chunk])
-        history.append([weights.detach().double() for weights in state.value.parameters()])
-    other = learner(make_config({}))
-    other.load_state_dict(copy.deepcopy(state.state_dict()))
-    with torch.no_grad():
-        inputs = state.observations(torch.as_tensor(lessons[5].observation.reshape(lessons[5].end.size, -1)))
-        got, own = (targets(who, lessons[5], inputs) for who in (state, other))
-        for weights, past in zip(other.value.parameters(), zip(*history), strict=True):
-            weights.copy_(mean_of(past, decay))
-        wanted = targets(other, lessons[5], inputs)
-    for a, b, c in zip(got, wanted, own, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
-        assert np.abs(np.subtract(a, c)).max() > 1e-3
 
 
 # ----------------------------------------------------------------------------------------------------- skipped updates

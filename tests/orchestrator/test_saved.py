@@ -22,8 +22,7 @@ from orchestrator.settings import build, command_line
 FIXTURES = sorted((Path(__file__).parents[1] / "learner/checkpoints").iterdir())
 # what a schema brought is in its fixture
 _CARRIED = {"policy.judges": 2, "policy.average": 0.9, "task.focus": 0.5}
-_GROUPS = {**_CARRIED, "curriculum.scope": "group"}
-MADE_WITH = {"schema3": _CARRIED, "schema4": _GROUPS, "schema5": {**_GROUPS, "ppo.value_average": 0.9}}
+MADE_WITH = {"schema3": _CARRIED, "schema4": {**_CARRIED, "curriculum.scope": "group"}}
 
 
 @pytest.fixture(scope="module")
