@@ -66,19 +66,19 @@ def gap_weights(gap, poses, weighting):
 
 
 @njit(cache=True)
-def _demonstrate(poses, targets, pd_target, mode, scale, observation, action):
+def _demonstrate(poses, targets, pd_target, mode, scale, difference, observation, action):
     bodies, rotations = np.empty((NUM_BODIES, 3)), np.empty((NUM_BODIES, 4))
     target_bodies = np.empty((NUM_BODIES, 3))
     for m in range(len(poses)):
         qpos, target = poses[m, :NQ], targets[m, :NQ]
         forward_kinematics(qpos, bodies, rotations)
         forward_kinematics(target, target_bodies, rotations)
-        observe(qpos, poses[m, NQ:], bodies, target, targets[m, NQ:], target_bodies, observation[m])
+        observe(qpos, poses[m, NQ:], bodies, target, targets[m, NQ:], target_bodies, difference, observation[m])
         encode(pd_target[m], target if mode == TARGET else qpos, scale, mode == ABSOLUTE, action[m])
 
 
-def demonstrations(chunk, pairs, chosen, action_config):
-    """(observation (K, 282), action (K, 31)), float32, of the pairs numbered `chosen` (K,).
+def demonstrations(chunk, pairs, chosen, env):
+    """(observation (K, 282), action (K, 31)), float32, of the pairs numbered `chosen` (K,); env: `EnvConfig`.
 
     p_k is localized to p_t, and the action expressed around the retargeted pose where `action.mode` is an offset.
     """
@@ -89,8 +89,9 @@ def demonstrations(chunk, pairs, chosen, action_config):
         chunk.pose[step, column].astype(np.float64),
         chunk.next_pose[target, column].astype(np.float64),
         chunk.pd_target[step, column].astype(np.float64),
-        MODES[action_config.mode],
-        action_config.scale,
+        MODES[env.action.mode],
+        env.action.scale,
+        env.observation.target == "difference",
         observation,
         action,
     )

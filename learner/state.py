@@ -18,12 +18,12 @@ class LearnerState:
     """All that the learner is between two updates: networks, optimizers, normalizers, the policy's learning rate.
 
     config: `learner.config.LearnerConfig`. `updates` counts the updates so far, `skipped` those of the last ones in a
-    row that changed nothing (see `learner.update`). A demonstration's action is expressed in `action`
-    (`workers.config.ActionConfig`), which the acting policy used.
+    row that changed nothing (see `learner.update`). Demonstrations are observed, and their actions expressed, as in the
+    environment that the policy acts in, `env` (`workers.config.EnvConfig`).
     """
 
-    def __init__(self, config, action, seed, device="cpu"):
-        self.config, self.action, self.seed, self.device = config, action, seed, device
+    def __init__(self, config, env, seed, device="cpu"):
+        self.config, self.env, self.seed, self.device = config, env, seed, device
         self.policy, self.value = build_networks(config.network, seed, device)
         self.average = copy.deepcopy(self.policy) if config.policy.average else None
         self.descend_by(config.ppo.method(0))
@@ -71,7 +71,7 @@ class LearnerState:
     def snapshot(self):
         """The `workers.types.Policy` to act with."""
         return snapshot(
-            self.policy, self.average, self.observations, self.config.policy, self.action.scale, self.updates
+            self.policy, self.average, self.observations, self.config.policy, self.env.action.scale, self.updates
         )
 
     def state_dict(self):

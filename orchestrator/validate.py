@@ -51,6 +51,7 @@ RULES = {
     "task.stay_probability": PROBABILITY,
     "task.transition_time": above(0),
     "task.max_steps": at_least(1),
+    "observation.target": choice("absolute", "difference"),
     "action.mode": choice("absolute", "target", "current"),
     "action.scale": above(0),
     "physics.timestep": above(0),

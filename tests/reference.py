@@ -176,12 +176,12 @@ def localized(qpos, qvel, frame):
     return position, np.concatenate(shared)
 
 
-def observation(qpos, qvel, target_qpos, target_qvel):
-    """s_t = (p_t, p_tar), 140 + 142 numbers."""
+def observation(qpos, qvel, target_qpos, target_qvel, difference=False):
+    """s_t = (p_t, p_tar), 140 + 142 numbers; or p_tar less p_t, but for the root's place."""
     frame = heading_frame(qpos)
     _, own = localized(qpos, qvel, frame)
     position, target = localized(target_qpos, target_qvel, frame)
-    return np.concatenate([[qpos[2]], own, position, target])
+    return np.concatenate([[qpos[2]], own, position, target - own if difference else target])
 
 
 # ------------------------------------------------------------------------------------------------- section 3: reward

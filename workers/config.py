@@ -68,6 +68,15 @@ class TaskConfig:
 
 
 @dataclass
+class ObservationConfig:
+    """How the state reaches the networks (section 2)."""
+
+    target: str = "absolute"
+    """`absolute`: p_tar as it is (the paper's). `difference`: p_tar less p_t, all but its root's place, which is
+    relative already: the same state, in numbers that go to zero as the figure arrives."""
+
+
+@dataclass
 class ActionConfig:
     """What the 31 numbers of an action mean (section 2)."""
 
@@ -108,5 +117,6 @@ class EnvConfig:
     fall: FallConfig = field(default_factory=FallConfig)
     rotation: RotationConfig = field(default_factory=RotationConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
     action: ActionConfig = field(default_factory=ActionConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)

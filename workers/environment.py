@@ -110,6 +110,7 @@ class Environment:
         self._mask = fall_mask(config.fall.ignore_bodies)
         self._own_frame = config.reward.key_body_frame == "own"
         self._mode = MODES[config.action.mode]
+        self._difference = config.observation.target == "difference"
 
     def begin(self, ids):
         """Begin the tasks in rows `ids` of `task`: poses set, counters, sums and the solver's warm start zeroed."""
@@ -130,7 +131,7 @@ class Environment:
         rows = self._all if ids is None else ids
         observe_batch(
             self.qpos[rows], self.qvel[rows], self.bodies[rows],
-            self.target_qpos[rows], self.target_qvel[rows], self.target_bodies[rows], out,
+            self.target_qpos[rows], self.target_qvel[rows], self.target_bodies[rows], self._difference, out,
         )  # fmt: skip
         return out
 

@@ -21,6 +21,7 @@ from workers.kinematics import (
 POSE_SIZE = 140
 TARGET_SIZE = 142
 OBSERVATION_SIZE = POSE_SIZE + TARGET_SIZE
+_ALIKE = POSE_SIZE - 1  # p_t and p_tar end with as many numbers of the same meaning
 
 _KEY_BODIES = skeleton.KEY_BODIES
 _NUM_KEYS = len(_KEY_BODIES)
@@ -63,11 +64,12 @@ def _write_pose(out, at, frame, origin, qpos, qvel, bodies):
 
 
 @njit(cache=True)
-def observe(qpos, qvel, bodies, target_qpos, target_qvel, target_bodies, out):
+def observe(qpos, qvel, bodies, target_qpos, target_qvel, target_bodies, difference, out):
     """s_t into out (282,), of a pose (47,), (37,) with body positions (17, 3), and a target likewise, in the world.
 
     Order of p_t: height 1, linear velocity 3, orientation 6, angular velocity 3, joint rotations 78, joint velocities
-    31, key bodies 18. p_tar is the same with the root's position (3) instead of the height.
+    31, key bodies 18. p_tar is the same with the root's position (3) instead of the height. difference: of p_tar's
+    other 139 numbers, p_t's are taken off (`ObservationConfig`).
     """
     frame = conjugate(about_z(heading(quaternion_at(qpos, 3))))
     out[0] = qpos[2]
@@ -78,10 +80,15 @@ def observe(qpos, qvel, bodies, target_qpos, target_qvel, target_bodies, out):
     )
     at = _write3(out, at, rotate(frame, target_qvel[0], target_qvel[1], target_qvel[2]))
     _write_pose(out, at, frame, qpos, target_qpos, target_qvel, target_bodies)
+    if difference:
+        for k in range(_ALIKE):
+            out[OBSERVATION_SIZE - _ALIKE + k] -= out[POSE_SIZE - _ALIKE + k]
 
 
 @njit(cache=True)
-def observe_batch(qpos, qvel, bodies, target_qpos, target_qvel, target_bodies, out):
+def observe_batch(qpos, qvel, bodies, target_qpos, target_qvel, target_bodies, difference, out):
     """`observe` of every row; out (N, 282) may be float32."""
     for i in range(qpos.shape[0]):
-        observe(qpos[i], qvel[i], bodies[i], target_qpos[i], target_qvel[i], target_bodies[i], out[i])
+        observe(
+            qpos[i], qvel[i], bodies[i], target_qpos[i], target_qvel[i], target_bodies[i], difference, out[i]
+        )  # fmt: skip

@@ -118,7 +118,7 @@ def test_an_update_draws_pairs_as_from_the_exhaustive_store(lessons, columns, ma
         return original(chunk, pairs, chosen, action)
 
     monkeypatch.setattr(sbc, "demonstrations", spy)
-    update(LearnerState(config, config.action, seed=2), [chunk])
+    update(LearnerState(config, config, seed=2), [chunk])
     store = exhaustive(chunk.pose, chunk.next_pose, chunk.end)
     assert set(drawn) == store and len(store) > 50
     counts = [drawn[pair] for pair in sorted(store)]
@@ -134,14 +134,16 @@ def drawn(lessons):
     return chunk, pairs, np.random.default_rng(0).integers(len(pairs), size=40)
 
 
-def test_a_demonstration_observes_p_t_with_p_k_as_its_target(drawn, make_config):
+@pytest.mark.parametrize("target", ["absolute", "difference"])
+def test_a_demonstration_observes_p_t_with_p_k_as_its_target(target, drawn, make_config):
     chunk, pairs, chosen = drawn
-    observation, _ = sbc.demonstrations(chunk, pairs, chosen, make_config().action)
+    difference = target == "difference"
+    observation, _ = sbc.demonstrations(chunk, pairs, chosen, make_config({"observation.target": target}))
     assert observation.shape == (40, 282) and observation.dtype == np.float32
     for row, m in zip(observation, chosen, strict=True):
         pose = chunk.pose[pairs.step[m], pairs.column[m]].astype(float)
         target = chunk.next_pose[pairs.target[m], pairs.column[m]].astype(float)
-        wanted = reference.observation(pose[:47], pose[47:], target[:47], target[47:])
+        wanted = reference.observation(pose[:47], pose[47:], target[:47], target[47:], difference)
         np.testing.assert_allclose(row, wanted, rtol=1e-5, atol=1e-4)
 
 
@@ -160,7 +162,7 @@ def test_a_demonstrated_action_aims_the_controllers_where_the_step_did(mode, sca
     """Expressed around the retargeted pose in mode `target`, it decodes to the same PD target there."""
     chunk, pairs, chosen = drawn
     config = make_config({"action.mode": mode, "action.scale": scale})
-    _, action = sbc.demonstrations(chunk, pairs, chosen, config.action)
+    _, action = sbc.demonstrations(chunk, pairs, chosen, config)
     for row, m in zip(action, chosen, strict=True):
         step, target, column = pairs.step[m], pairs.target[m], pairs.column[m]
         base = {"target": chunk.next_pose[target, column], "current": chunk.pose[step, column]}
@@ -176,7 +178,7 @@ def test_without_an_offset_the_demonstrated_action_is_the_action_taken(library, 
     chunk, _ = rollout.collect(rollout.initial_state(0), make_policy(), easy)
     pairs = sbc.valid_pairs(chunk.pose, chunk.next_pose, chunk.end)
     chosen = np.arange(len(pairs))
-    _, action = sbc.demonstrations(chunk, pairs, chosen, config.action)
+    _, action = sbc.demonstrations(chunk, pairs, chosen, config)
     np.testing.assert_allclose(action, chunk.action[pairs.step, pairs.column], atol=1e-5)
 
 
@@ -208,7 +210,7 @@ def test_an_update_weighs_by_the_trajectorys_poses(kind, lessons, make_config, m
 
     monkeypatch.setattr(sbc, "sbc_loss", spy)
     config = make_config({"sbc.gap_weighting": kind, "ppo.epochs": 1})
-    update(LearnerState(config, config.action, seed=2), [lessons[0]])
+    update(LearnerState(config, config, seed=2), [lessons[0]])
     wanted = {np.float32(reference.gap_weight(kind, gap, 9)) for gap in range(1, 9)}
     assert set(np.concatenate(seen)) == wanted
 

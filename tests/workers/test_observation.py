@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from workers.observation import OBSERVATION_SIZE, POSE_SIZE, TARGET_SIZE, observe_batch
+from workers.rollout import Rollout
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -15,9 +16,10 @@ seeds = st.integers(0, 2**32 - 1)
 def observe(bodies_of):
     """A function of poses and targets, arrays with n rows each, giving observations (n, 282) in float64."""
 
-    def call(qpos, qvel, target_qpos, target_qvel):
+    def call(qpos, qvel, target_qpos, target_qvel, difference=False):
         out = np.full((len(qpos), OBSERVATION_SIZE), np.nan)
-        observe_batch(qpos, qvel, bodies_of(qpos)[0], target_qpos, target_qvel, bodies_of(target_qpos)[0], out)
+        bodies, target_bodies = bodies_of(qpos)[0], bodies_of(target_qpos)[0]
+        observe_batch(qpos, qvel, bodies, target_qpos, target_qvel, target_bodies, difference, out)
         return out
 
     return call
@@ -37,11 +39,11 @@ def test_the_state_has_140_and_142_numbers():
     assert (POSE_SIZE, TARGET_SIZE, OBSERVATION_SIZE) == (140, 142, 282)
 
 
-@given(seed=seeds)
-def test_the_observation_is_the_references(seed, random_pose, observe):
+@given(seed=seeds, difference=st.booleans())
+def test_the_observation_is_the_references(seed, difference, random_pose, observe):
     pose, target = random_pose([seed, 0]), random_pose([seed, 1])
-    got = observe(*(array[None] for array in (*pose, *target)))[0]
-    np.testing.assert_allclose(got, reference.observation(*pose, *target), atol=1e-9)
+    got = observe(*(array[None] for array in (*pose, *target)), difference)[0]
+    np.testing.assert_allclose(got, reference.observation(*pose, *target, difference), atol=1e-9)
 
 
 def test_the_observation_is_the_references_on_frames_of_clips(clip_poses, observe):
@@ -80,9 +82,22 @@ def test_a_pose_that_is_its_own_target_is_seen_twice(seed, random_pose, observe)
     np.testing.assert_array_equal(got[1:POSE_SIZE], got[POSE_SIZE + 3 :])
 
 
-def test_what_a_rollout_observes_is_the_reference_of_its_poses_and_targets(trajectories):
-    state, chunk = trajectories.states[2], trajectories.chunks[2]
+@given(seed=seeds)
+def test_at_the_target_the_difference_is_nothing(seed, random_pose, observe):
+    pose = random_pose(seed)
+    got = observe(*(array[None] for array in (*pose, *pose)), True)[0]
+    np.testing.assert_array_equal(got[POSE_SIZE:], 0.0)
+
+
+@pytest.mark.parametrize("target", ["absolute", "difference"])
+def test_what_a_rollout_observes_is_the_reference_of_its_poses_and_targets(
+    target, trajectories, library, make_config, make_policy, easy
+):
+    state, config = trajectories.states[2], make_config({"observation.target": target})
+    rollout = Rollout(config, library, len(state.environment), 2, seed=0)
+    chunk, _ = rollout.collect(state, make_policy(), easy)
     for i in range(0, len(state.environment), 5):
         pose = chunk.pose[0, i].astype(float)
-        wanted = reference.observation(pose[:47], pose[47:], state.target_qpos[i], state.target_qvel[i])
+        targets = state.target_qpos[i], state.target_qvel[i]
+        wanted = reference.observation(pose[:47], pose[47:], *targets, target == "difference")
         np.testing.assert_allclose(chunk.observation[0, i], wanted, atol=1e-4)
