@@ -103,7 +103,7 @@ def test_lines_are_counted_without_blanks_comments_and_docstrings(tmp_path):
 
 
 def test_processes_of_a_tree_are_found_with_what_they_use():
-    inner = "import time; sum(range(10**7)); time.sleep(60)"
+    inner = "import time; sum(range(10**8)); time.sleep(60)"
     code = f"import subprocess, sys; x = b'1' * 60_000_000; subprocess.run([sys.executable, '-c', {inner!r}])"
     process = subprocess.Popen([sys.executable, "-c", code])
     try:
