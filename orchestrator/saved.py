@@ -11,6 +11,9 @@ from orchestrator.settings import flatten
 from orchestrator.validate import disagreement
 from workers.types import Policy, Thresholds, WorkerState
 
+# keys that give the numbers their meaning and that older checkpoints do not name: what was so in all of them
+_ONCE = {"observation.target": "absolute"}
+
 
 def place(folder, config):
     """Where the checkpoints of a run go: its folder, or, with `checkpoint.storage`, the last two names of it there."""
@@ -80,9 +83,12 @@ def _objects(content):
     curriculum = arrays(content["curriculum"])
     curriculum["window"] = _pairs(curriculum["window"])
     curriculum["tracks"] = tuple((_pairs(window), cuts) for window, cuts in curriculum.get("tracks", ()))
+    config = content.get("config", {})
+    if config:
+        config = {**_ONCE, **config}
     return {
         "iteration": content["iteration"],
-        "config": content.get("config", {}),
+        "config": config,
         "clips": content.get("clips"),
         "parts": (content["learner"], CurriculumState(**curriculum)),
         "workers": [WorkerState(**arrays(item)) for item in content["workers"]],

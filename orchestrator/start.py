@@ -8,7 +8,7 @@ from orchestrator.curriculum import CurriculumState, final_tightenings
 from orchestrator.validate import disagreement
 
 # Keys that give the networks' sizes and their numbers' meaning
-_MEANING = ("network.", "action.")
+_MEANING = ("network.", "observation.", "action.")
 
 
 def check(config):

@@ -12,7 +12,7 @@ from workers.observation import OBSERVATION_SIZE
 from workers.types import Policy
 
 # Keys that give the policy's numbers their meaning; what else a checkpoint was trained with may differ
-_MEANING = ("motions.clips.", "action.", "network.")
+_MEANING = ("motions.clips.", "observation.", "action.", "network.")
 # of them, those that only say which tasks there are
 _TASKS = (".cancel", ".beats", ".genre")
 

@@ -157,6 +157,7 @@ def test_a_failed_task_goes_the_same_way_again(run, config, library, capsys):
         (["{run}", "motions.clips.idle.file=builtin:run"], "trained with motions.clips.idle.file=builtin:idle"),
         (["{run}", "motions.clips.idle.start=0.5"], "trained with motions.clips.idle.start=0.0, asked for"),
         (["{run}", "action.mode=absolute"], "trained with action.mode=target, asked for action.mode=absolute"),
+        (["{run}", "observation.target=difference"], "trained with observation.target=absolute, asked for"),
     ],
 )
 def test_wrong_input_is_one_line_that_names_it(arguments, words, run):
