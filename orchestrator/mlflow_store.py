@@ -88,7 +88,7 @@ def make_client(uri):
 def make_database(path):
     """MLflow's SQLite database at once or not at all, by `mlflow db upgrade`; nothing if it is there.
 
-    MLflow itself would make it in place, in some fifty steps of several seconds in all: a run stopped meanwhile leaves
+    MLflow itself would make it in place, in many steps of several seconds in all: a run stopped meanwhile leaves
     a file that no MLflow opens any more, and two runs that start together disturb each other.
     """
     if _is_database(path):
