@@ -119,7 +119,7 @@ def main():
         subject = load_newest(options.run, config)
     else:
         config = build_config(options.overrides)
-        policy = LearnerState(config, config, config.seed).snapshot().averaged()
+        policy = LearnerState(config, config.seed).snapshot().averaged()
         subject = Subject(policy, 0, None, 0, "none")
     cores = os.cpu_count()
     config = replace(config, evaluation=replace(config.evaluation, max_tasks=options.tasks * cores))

@@ -64,7 +64,7 @@ def run(description, measure, lambdas, meaning, shown):
 
 def measure(config, content, chunks, lambdas):
     """{name: number}; see the module's docstring. content: of `saved.load_latest`."""
-    state = LearnerState(config, config, config.seed)
+    state = LearnerState(config, config.seed)
     state.load_state_dict(content["parts"][0])
     rng = np.random.default_rng(0)
     cloning, climbing, losses = [], {lam: [] for lam in lambdas}, []
@@ -102,7 +102,7 @@ def of_sbc(state, chunk, rng):
     config = state.config
     pairs = sbc.valid_pairs(chunk.pose, chunk.next_pose, chunk.end)
     chosen = rng.integers(len(pairs), size=chunk.end.size)
-    observation, action = map(torch.as_tensor, sbc.demonstrations(chunk, pairs, chosen, state.env))
+    observation, action = map(torch.as_tensor, sbc.demonstrations(chunk, pairs, chosen, state.config))
     gaps = sbc.gap_weights(pairs.gap()[chosen], len(chunk.end) + 1, config.sbc.gap_weighting)
     weight = torch.as_tensor(gaps)
     loss = sbc.sbc_loss(state.policy(state.observations(observation)), action, weight, config.sbc)

@@ -48,7 +48,7 @@ def measure(config, devices, rounds):
     for method in ("adam", "kfac"):
         chosen = replace(config, ppo=replace(config.ppo, optimizer=method, kfac_after=0))
         for device in devices:
-            state = LearnerState(chosen, chosen, chosen.seed, device)
+            state = LearnerState(chosen, chosen.seed, device)
             states[f"{method} {device}"], _ = update(state, [chunk])  # warm: kernels are loaded, normalizers set
     times = {name: [] for name in states}
     for _ in range(rounds):
@@ -62,7 +62,7 @@ def measure(config, devices, rounds):
 def one_chunk(config):
     """A chunk of a new policy, past the synchronised start."""
     worker = RolloutWorker(config, config.num_envs)
-    policy = LearnerState(config, config, config.seed).snapshot()
+    policy = LearnerState(config, config.seed).snapshot()
     limits = thresholds(config.curriculum, config.reach, 0)
     state = worker.initial_state(0)
     for _ in range(3):

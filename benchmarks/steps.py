@@ -33,7 +33,7 @@ def main():
 def measure(config, content, chunks, lambdas):
     """{"loss, step": (mean gain, its standard error)}; see the module's docstring. The errors are without the noise of
     the mean gradient, which all have in common."""
-    state = LearnerState(config, config, config.seed)
+    state = LearnerState(config, config.seed)
     state.load_state_dict(content["parts"][0])
     kfac, rng = KFAC(state.policy, 1.0, config.ppo.damping), np.random.default_rng(0)
     descents = {f"ppo, lambda {lam:g}": [] for lam in lambdas} | {"sbc": []}

@@ -43,7 +43,7 @@ def rollout_parts(config):
     """
     library = build_library(build_state_machine(config.motions))
     rollout = Rollout(config, library, config.num_envs, config.horizon, config.seed, threads=1)
-    policy = LearnerState(config, config, config.seed).snapshot()
+    policy = LearnerState(config, config.seed).snapshot()
     limits = thresholds(config.curriculum, config.reach, 0)
     # past the synchronised start, so that episodes end throughout
     state = rollout.initial_state(0)

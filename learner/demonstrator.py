@@ -37,7 +37,7 @@ class Demonstrator:
     def _draw(self):
         """(policy's inputs (K, 282), action (K, 31), gap weight (K,)) of demonstrations, as tensors."""
         state, chosen = self._state, self._random.integers(len(self._pairs), size=self._size)
-        observation, action = sbc.demonstrations(self._chunk, self._pairs, chosen, state.env)
+        observation, action = sbc.demonstrations(self._chunk, self._pairs, chosen, state.config)
         weighting = state.config.sbc.gap_weighting
         weight = sbc.gap_weights(self._pairs.gap()[chosen], len(self._chunk.end) + 1, weighting)
         observation, action, weight = (

@@ -17,7 +17,7 @@ class Learner:
     def __init__(self, config, saved=None):
         """config: the run's `orchestrator.config.Config`; saved: what `saved()` gave, to continue from."""
         torch.set_num_threads(config.learner_threads)
-        self._state = LearnerState(config, config, config.seed, resolve_device(config.device))
+        self._state = LearnerState(config, config.seed, resolve_device(config.device))
         if saved is not None:
             self._state.load_state_dict(saved)
 

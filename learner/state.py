@@ -17,13 +17,13 @@ SHUFFLE, DEMONSTRATIONS = 0, 1
 class LearnerState:
     """All that the learner is between two updates: networks, optimizers, normalizers, the policy's learning rate.
 
-    config: `learner.config.LearnerConfig`. `updates` counts the updates so far, `skipped` those of the last ones in a
-    row that changed nothing (see `learner.update`). Demonstrations are observed, and their actions expressed, as in the
-    environment that the policy acts in, `env` (`workers.config.EnvConfig`).
+    config: `learner.config.LearnerConfig` and, for what policy and demonstrations observe and how they act,
+    `workers.config.EnvConfig` in one. `updates` counts the updates so far, `skipped` those of the last ones in a row
+    that changed nothing (see `learner.update`).
     """
 
-    def __init__(self, config, env, seed, device="cpu"):
-        self.config, self.env, self.seed, self.device = config, env, seed, device
+    def __init__(self, config, seed, device="cpu"):
+        self.config, self.seed, self.device = config, seed, device
         self.policy, self.value = build_networks(config.network, seed, device)
         self.average = copy.deepcopy(self.policy) if config.policy.average else None
         self.descend_by(config.ppo.method(0))
@@ -70,9 +70,10 @@ class LearnerState:
 
     def snapshot(self):
         """The `workers.types.Policy` to act with."""
+        config = self.config
         return snapshot(
-            self.policy, self.average, self.observations, self.config.policy, self.env.action.scale, self.updates
-        )
+            self.policy, self.average, self.observations, config.policy, config.action.scale, self.updates
+        )  # fmt: skip
 
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint; shares memory with the networks."""

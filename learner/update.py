@@ -29,7 +29,7 @@ def update(state, chunks):
     demonstrator = Demonstrator(state, chunk, config.sbc.batch_size or -(-len(batch.explored) // batch.minibatches))
     metrics, divergence = _epochs(state, batch, demonstrator)
     metrics["policy/learning_rate"] = state.learning_rate
-    metrics["policy/sigma"] = typical(batch.sigma[batch.explored]) * state.env.action.scale
+    metrics["policy/sigma"] = typical(batch.sigma[batch.explored]) * state.config.action.scale
     metrics["value/error"] = batch.value_error
     metrics["sbc/valid_pairs"] = demonstrator.valid_share
     # after the epochs, so that they see observations as the acting policy did

@@ -224,7 +224,7 @@ def lessons(library):
     """What a learner can learn from: six chunks that the policy of `learner(...)` with seed 1 collected, version 0."""
     config = _config({"task.max_steps": 16})
     rollout = Rollout(config, library, 24, 8, seed=5)
-    policy = LearnerState(config, config, seed=1).snapshot()
+    policy = LearnerState(config, seed=1).snapshot()
     state, chunks = rollout.initial_state(0), []
     for _ in range(6):
         chunk, state = rollout.collect(state, policy, EASY)

@@ -46,11 +46,11 @@ def test_nested_content_comes_back_exactly(tmp_path):
 @pytest.mark.parametrize("average", [0.0, 0.9])
 def test_a_learner_continues_from_its_checkpoint_bit_for_bit(average, tmp_path, lessons, make_config, assert_same_bits):
     config = make_config({"ppo.target_kl": 0.01, "policy.average": average})
-    state = LearnerState(config, config, seed=3)
+    state = LearnerState(config, seed=3)
     for chunk in lessons[:2]:
         state, _ = update(state, [chunk])
     path = checkpoint.save(tmp_path, 2, state.state_dict(), keep=1)
-    other = LearnerState(config, config, seed=3)
+    other = LearnerState(config, seed=3)
     other.load_state_dict(checkpoint.load(path))
     assert_same_bits(copy.deepcopy(state.state_dict()), copy.deepcopy(other.state_dict()))
     for chunk in lessons[2:4]:

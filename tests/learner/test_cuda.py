@@ -17,7 +17,7 @@ METHODS = [{}, {"ppo.optimizer": "kfac"}, {"ppo.optimizer": "kfac", "ppo.kfac_af
 
 
 def learner(config, device):
-    return LearnerState(config, config, seed=1, device=device)
+    return LearnerState(config, seed=1, device=device)
 
 
 def weights(state):

@@ -81,7 +81,7 @@ def test_advantages_are_explicit_sums(seed, horizon, share, gamma, lam, bootstra
 def test_an_update_values_time_outs_by_the_chosen_rule(timeout, lessons, make_config):
     """On a real chunk: the mean absolute advantage, which `update` reports, is that of the explicit sums."""
     config = make_config({"ppo.timeout": timeout})
-    state = LearnerState(config, config, seed=1)
+    state = LearnerState(config, seed=1)
     chunk = next(c for c in lessons if (c.end == TIMED_OUT).sum() >= 3 and (c.end == FELL).any())
     state, _ = update(state, [chunk])  # so that returns are scaled
     _, metrics = update(state, [chunk])

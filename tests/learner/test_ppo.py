@@ -109,7 +109,7 @@ def spied(monkeypatch):
 def test_every_transition_is_used_exactly_once_per_epoch(minibatch_size, spied, lessons, make_config):
     config = make_config({"ppo.epochs": 3, "ppo.minibatch_size": minibatch_size})
     chunk = lessons[1]
-    update(LearnerState(config, config, seed=1), [chunk])
+    update(LearnerState(config, seed=1), [chunk])
     samples = chunk.end.size
     batches = -(-samples // minibatch_size)
     assert len(spied) == 3 * batches
@@ -125,7 +125,7 @@ def test_every_transition_is_used_exactly_once_per_epoch(minibatch_size, spied, 
 def test_a_minibatch_holds_the_actions_means_and_advantages_of_the_same_transitions(spied, lessons, make_config):
     config = make_config()
     chunk = lessons[1]
-    update(LearnerState(config, config, seed=1), [chunk])
+    update(LearnerState(config, seed=1), [chunk])
     where = {action.tobytes(): i for i, action in enumerate(chunk.action.reshape(-1, 31))}
     advantage_of = {}
     for call in spied:
@@ -141,7 +141,7 @@ def test_a_minibatch_holds_the_actions_means_and_advantages_of_the_same_transiti
 def test_the_anchor_is_the_policy_at_the_updates_start_whatever_the_chunks_age(spied, lessons, make_config):
     """Depth 0: the acting policy's own numbers. Depth 1: what the network, one update on, says of the chunk."""
     config = make_config({"ppo.learning_rate": 0.0, "sbc.enabled": False})
-    state = LearnerState(config, config, seed=1)
+    state = LearnerState(config, seed=1)
     state, _ = update(state, [lessons[0]])
     for call in spied:
         np.testing.assert_array_equal(call["anchor_mean"], call["acting_mean"])
@@ -155,7 +155,7 @@ def test_the_anchor_is_the_policy_at_the_updates_start_whatever_the_chunks_age(s
 
 def test_updates_shuffle_differently(spied, lessons, make_config):
     config = make_config({"ppo.epochs": 1})
-    state = LearnerState(config, config, seed=1)
+    state = LearnerState(config, seed=1)
     for _ in range(2):
         state, _ = update(state, [lessons[1]])
     half = len(spied) // 2

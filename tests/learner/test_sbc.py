@@ -118,7 +118,7 @@ def test_an_update_draws_pairs_as_from_the_exhaustive_store(lessons, columns, ma
         return original(chunk, pairs, chosen, action)
 
     monkeypatch.setattr(sbc, "demonstrations", spy)
-    update(LearnerState(config, config, seed=2), [chunk])
+    update(LearnerState(config, seed=2), [chunk])
     store = exhaustive(chunk.pose, chunk.next_pose, chunk.end)
     assert set(drawn) == store and len(store) > 50
     counts = [drawn[pair] for pair in sorted(store)]
@@ -210,7 +210,7 @@ def test_an_update_weighs_by_the_trajectorys_poses(kind, lessons, make_config, m
 
     monkeypatch.setattr(sbc, "sbc_loss", spy)
     config = make_config({"sbc.gap_weighting": kind, "ppo.epochs": 1})
-    update(LearnerState(config, config, seed=2), [lessons[0]])
+    update(LearnerState(config, seed=2), [lessons[0]])
     wanted = {np.float32(reference.gap_weight(kind, gap, 9)) for gap in range(1, 9)}
     assert set(np.concatenate(seen)) == wanted
 

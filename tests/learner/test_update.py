@@ -19,7 +19,7 @@ from workers.types import REACHED, Chunk, Outcomes
 
 
 def learner(config, seed=1):
-    return LearnerState(config, config, seed)
+    return LearnerState(config, seed)
 
 
 def content(state):
