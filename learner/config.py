@@ -9,6 +9,8 @@ class NetworkConfig:
 
     hidden: list[int] = field(default_factory=lambda: [1024, 512])
     """Units of the hidden layers (ReLU)."""
+    value_hidden: list[int] | None = None
+    """Those of the value network, if other than the policy's."""
     output_scale: float = 0.01
     """Factor on the policy's initial output weights: small, so that training starts near action zero."""
 

@@ -12,6 +12,7 @@ import torch
 from torch import nn
 
 MEMORY = 0.95  # decay per update of the running averages of A and G
+SPARSE = 8  # G is of every eighth input: a Jacobian of 31 rows costs as much as 31 gradients
 _LEAST = 1e-20  # mean eigenvalue: a layer that the outputs do not depend on (yet) has G = 0 and a gradient of zero
 
 
@@ -19,13 +20,13 @@ class KFAC:
     """Steps down the natural gradient of an MLP (`nn.Sequential` of `nn.Linear` and `nn.ReLU`) whose outputs are the
     means of Gaussians; used as a `torch.optim.Optimizer` is. `observe` first, and again as the network changes.
 
-    damping: added to each factor's diagonal, in units of the mean of its eigenvalues.
+    damping: added to each factor's diagonal, in units of the mean of its eigenvalues. sparse: see `factors`.
     """
 
-    def __init__(self, network, lr, damping):
+    def __init__(self, network, lr, damping, sparse=SPARSE):
         self.param_groups = [{"lr": lr}]
         self._layers = [layer for layer in network if isinstance(layer, nn.Linear)]
-        self._damping, self._seen = damping, 0
+        self._damping, self._sparse, self._seen = damping, sparse, 0
         self._factors = [  # (A, G) of each layer
             (layer.weight.new_zeros([layer.in_features + 1] * 2), layer.weight.new_zeros([layer.out_features] * 2))
             for layer in self._layers
@@ -50,7 +51,7 @@ class KFAC:
         decay = min(MEMORY, self._seen / (self._seen + 1))
         self._seen += 1
         self._inverses = []
-        for kept, new in zip(self._factors, factors(self._layers, inputs, sigma), strict=True):
+        for kept, new in zip(self._factors, factors(self._layers, inputs, sigma, self._sparse), strict=True):
             for factor, value in zip(kept, new, strict=True):
                 factor.lerp_(value, 1 - decay)
             self._inverses.append([_inverse(factor, self._damping) for factor in kept])
@@ -76,24 +77,29 @@ class KFAC:
         return found
 
 
-def factors(layers, inputs, sigma):
+def factors(layers, inputs, sigma, sparse=1):
     """[(A, G)] of the linear layers of an MLP: means over inputs (n, 282) of x x' with x (n, in + 1), a one appended,
     weighted by 1 / sigma^2, sigma (n,), and of J_s' J_s / sigma^2, J_s (n, 31, out) the Jacobian of the network's
-    outputs by the layer's."""
+    outputs by the layer's; this one over the inputs 0, sparse, 2 sparse, ... only."""
     precision = 1 / sigma.double() ** 2
     weight = (precision / precision.mean()).to(inputs.dtype)
     seen, hidden = [], inputs
     for layer in layers:
         seen.append(torch.cat([hidden, hidden.new_ones(len(hidden), 1)], dim=1))
         hidden = torch.relu(layer(hidden))  # that of the last layer is not used
-    n, outputs = len(inputs), layers[-1].out_features
-    jacobian = torch.eye(outputs, dtype=inputs.dtype, device=inputs.device) * weight.sqrt()[:, None, None]
+    some, outputs = weight[::sparse], layers[-1].out_features
+    jacobian = torch.eye(outputs, dtype=inputs.dtype, device=inputs.device) * some.sqrt()[:, None, None]
     found = []
     for i in reversed(range(len(layers))):
-        rows = jacobian.reshape(n * outputs, -1)
-        found.append(((seen[i] * weight[:, None]).T @ seen[i] / n, rows.T @ rows / (n / precision.mean().item())))
+        rows = jacobian.reshape(len(some) * outputs, -1)
+        found.append(
+            (
+                (seen[i] * weight[:, None]).T @ seen[i] / len(inputs),
+                rows.T @ rows / (len(some) / precision.mean().item()),
+            )
+        )
         if i:
-            jacobian = (jacobian @ layers[i].weight) * (seen[i][:, None, :-1] > 0)
+            jacobian = (jacobian @ layers[i].weight) * (seen[i][::sparse, None, :-1] > 0)
     return found[::-1]
 
 

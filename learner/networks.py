@@ -28,7 +28,7 @@ def build_networks(config, seed, device):
     """(policy, value) of a `NetworkConfig`, initialised as a function of the run's seed."""
     generator = torch.Generator().manual_seed(seed)
     policy = build_mlp(NUM_DOF, config.hidden, config.output_scale, generator)
-    value = build_mlp(1, config.hidden, 1.0, generator)
+    value = build_mlp(1, config.value_hidden or config.hidden, 1.0, generator)
     return policy.to(device), value.to(device)
 
 

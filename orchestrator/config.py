@@ -157,6 +157,9 @@ class Config(EnvConfig, LearnerConfig):
     """Rollout workers; each steps an equal share of the simulations."""
     worker_threads: int = 1
     """Threads (and CPUs) of one worker."""
+    spare_threads: int = 0
+    """runtime=ray: more threads of one worker, which ask Ray for no CPU. The worker steps back for everything else on
+    its machine, and so has the learner's CPU while that waits for the next chunk."""
     learner_threads: int = 1
     """Threads (and CPUs) of the learner; for small networks one is the fastest."""
     horizon: int = 16

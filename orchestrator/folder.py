@@ -18,7 +18,7 @@ NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
 
 # Keys that change no number of a run: another value continues it
 FREE = (
-    "out", "runtime", "worker_threads", "tracking.", "report.", "checkpoint.", "faults.",
+    "out", "runtime", "worker_threads", "spare_threads", "tracking.", "report.", "checkpoint.", "faults.",
     "physics.max_unstable_share", "ppo.max_skipped",
 )  # fmt: skip
 BUDGET = ("budget.",)  # may be raised

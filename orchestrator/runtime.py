@@ -124,7 +124,8 @@ class RayRuntime:
         self._learner = actor.remote(config, learner)
         lives = {"max_restarts": -1, "max_task_retries": config.faults.restarts}
         self._workers = [
-            ray.remote(RolloutWorker).options(num_cpus=config.worker_threads, **lives).remote(config, count)
+            ray.remote(RolloutWorker).options(num_cpus=config.worker_threads, **lives)
+            .remote(config, count, config.spare_threads)
             for _, count in shares(config.num_envs, config.num_workers)
         ]
         self._curriculum = ray.remote(Curriculum).options(num_cpus=0).remote(config, curriculum)

@@ -259,7 +259,7 @@ def cluster():
 
 def test_ray_gives_the_numbers_of_local(cluster, finished, configure, tmp_path, assert_same_bits):
     folder, summary = finished
-    assert train(configure(runtime="ray"), tmp_path) == summary
+    assert train(configure(runtime="ray", spare_threads=1), tmp_path) == summary
     assert_same_run(folder, tmp_path, assert_same_bits)
     assert_same_bits(state_of(folder)["workers"], state_of(tmp_path)["workers"])
 
