@@ -21,14 +21,23 @@ def tree(root):
     return found
 
 
-def cpu_seconds(pids):
-    """CPU seconds that processes have used so far, those of their children that have ended included."""
-    ticks = 0
-    for pid in pids:
-        fields = _stat(pid)
-        if fields:
-            ticks += sum(map(int, fields[11:15]))  # utime, stime, cutime, cstime
-    return ticks / _TICK
+class CPU:
+    """CPU seconds that a process and all its descendants have used.
+
+    What has ended keeps what it was last seen with. The kernel adds that to the parent only if the parent waits for its
+    children, which Ray's raylet does not.
+    """
+
+    def __init__(self, root):
+        self._root, self._used = root, {}
+
+    def seconds(self):
+        """CPU seconds so far; call it often, as what a process uses between the last call and its end is not seen."""
+        for pid in tree(self._root):
+            fields = _stat(pid)
+            if fields:
+                self._used[pid, fields[19]] = (int(fields[11]) + int(fields[12])) / _TICK  # start time; utime, stime
+        return sum(self._used.values())
 
 
 def memory(pids):

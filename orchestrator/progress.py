@@ -163,6 +163,19 @@ def number(value, form):
     return "-" if value is None else format(value, form)
 
 
+def parts(config):
+    """The actors of a run in a few words."""
+
+    def count(n, noun):
+        return f"{n} {noun}{'s' * (n != 1)}"
+
+    spare = f" (and {config.spare_threads} spare)" if config.spare_threads and config.runtime == "ray" else ""
+    return (
+        f"{count(config.num_workers, 'worker')} x {count(config.worker_threads, 'thread')}{spare} and one learner on "
+        f"{config.device}; runtime {config.runtime}"
+    )
+
+
 def samples(value):
     """A rate or count in three digits: 950, 3.1k, 2.0M."""
     if value is None:

@@ -22,7 +22,7 @@ from orchestrator import folder as run_folder
 from orchestrator import mlflow_store, report, start, table
 from orchestrator.console import catch_signals, run_command
 from orchestrator.plan import read_plan
-from orchestrator.progress import DONE, Progress, Row, samples
+from orchestrator.progress import DONE, Progress, Row, parts, samples
 from orchestrator.settings import command_line, load
 from orchestrator.tracking import Tracking, commit_tag
 
@@ -90,10 +90,7 @@ def announce(plan, states):
         f"  per run {samples(total)} samples: {config.total_iterations} iterations of {config.num_envs} simulations x "
         f"{config.horizon} steps"
     )
-    print(
-        f"  {config.num_workers} worker{'s' * (config.num_workers > 1)} x {config.worker_threads} thread"
-        f"{'s' * (config.worker_threads > 1)} and one learner on {config.device}; runtime {config.runtime}"
-    )
+    print(f"  {parts(config)}")
     print(f"  folder {plan.out}")
     if config.tracking.enabled:
         print(f"  MLflow {mlflow_store.without_password(mlflow_store.address(config))}")

@@ -21,7 +21,7 @@ from orchestrator import folder as run_folder
 from orchestrator import mlflow_store, start
 from orchestrator.console import catch_signals, run_command, stopping
 from orchestrator.plan import Run, run_name
-from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, samples
+from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, parts, samples
 from orchestrator.settings import Layer, build, command_line, load
 from orchestrator.sweep import with_device
 from orchestrator.table import COLUMNS, cell
@@ -78,10 +78,7 @@ def announce(run, state):
         f"  {samples(total)} samples: {config.total_iterations} iterations of "
         f"{config.num_envs} simulations x {config.horizon} steps"
     )
-    print(
-        f"  {config.num_workers} worker(s) x {config.worker_threads} thread(s) and one learner on {config.device}; "
-        f"runtime {config.runtime}"
-    )
+    print(f"  {parts(config)}")
     print(f"  folder {run.folder} ({state})")
     if config.tracking.enabled:
         print(f"  MLflow {mlflow_store.without_password(mlflow_store.address(config))}")

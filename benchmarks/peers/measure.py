@@ -91,11 +91,11 @@ def run(line, variant, folder, samples, seconds, overrides):
 
 def watch(process):
     """(CPU seconds, MB) over time of a process and its descendants until it ends, as lists of (time, value)."""
-    cpu, memory = [], []
+    cpu, memory, used = [], [], processes.CPU(process.pid)
     while process.poll() is None:
-        pids, now = processes.tree(process.pid), time.monotonic()
-        cpu.append((now, processes.cpu_seconds(pids)))
+        now = time.monotonic()
+        cpu.append((now, used.seconds()))
         if not memory or now - memory[-1][0] >= MEMORY_EVERY:
-            memory.append((now, processes.memory(pids)))
+            memory.append((now, processes.memory(processes.tree(process.pid))))
         time.sleep(CPU_EVERY)
     return cpu, memory

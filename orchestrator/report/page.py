@@ -6,7 +6,7 @@ from html import escape
 
 from motion.page import data_table, document, figure
 from orchestrator import table
-from orchestrator.progress import duration
+from orchestrator.progress import duration, parts
 from orchestrator.report import charts, curves, heat, machine
 from orchestrator.report.render import CELL, PANE
 from orchestrator.report.style import sheet
@@ -267,6 +267,5 @@ def environment(sweep):
     found = ", ".join(f"{escape(name)} {escape(version)}" for name, version in machine.versions())
     return f"""<h2>Environment</h2>
 {data_table(["run", "iterations", "samples", "minutes", "samples/s"], rows)}
-<p>{when}{config.num_envs} simulations, {config.num_workers} rollout worker{"s" * (config.num_workers > 1)} with
-{config.worker_threads} thread{"s" * (config.worker_threads > 1)}, learner on {escape(config.device)}, runtime
-{escape(config.runtime)}. Page made on: {escape(machine.processor())}; {found}.</p>"""
+<p>{when}{config.num_envs} simulations, {escape(parts(config))}.
+Page made on: {escape(machine.processor())}; {found}.</p>"""

@@ -102,19 +102,51 @@ def test_lines_are_counted_without_blanks_comments_and_docstrings(tmp_path):
     assert count_lines(path.with_suffix(".txt")) == 2
 
 
+def until(condition):
+    """Wait for a condition; it must come true within 30 s."""
+    for _ in range(300):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not come true")
+
+
 def test_processes_of_a_tree_are_found_with_what_they_use():
     inner = "import time; sum(range(10**8)); time.sleep(60)"
     code = f"import subprocess, sys; x = b'1' * 60_000_000; subprocess.run([sys.executable, '-c', {inner!r}])"
     process = subprocess.Popen([sys.executable, "-c", code])
+    used = processes.CPU(process.pid)
     try:
         for _ in range(300):
             pids = processes.tree(process.pid)
-            if len(pids) == 2 and processes.cpu_seconds(pids) > 0.2 and processes.memory(pids) > 60:
+            if len(pids) == 2 and used.seconds() > 0.2 and processes.memory(pids) > 60:
                 break
             time.sleep(0.1)
-        assert len(pids) == 2 and processes.cpu_seconds(pids) > 0.2
+        assert len(pids) == 2 and used.seconds() > 0.2
         assert 60 < processes.memory(pids) < 200
     finally:
         for pid in processes.tree(process.pid):
             subprocess.run(["kill", str(pid)], check=False)
+        process.wait()
+
+
+def test_what_a_process_has_used_still_counts_when_it_has_ended_and_nobody_waited_for_it():
+    """As Ray's raylet does it: the kernel forgets what the child has used."""
+    inner = "sum(range(10**8)); input()"
+    code = (
+        "import signal, subprocess, sys; signal.signal(signal.SIGCHLD, signal.SIG_IGN); "
+        f"child = subprocess.Popen([sys.executable, '-c', {inner!r}]); sys.stdin.readline(); child.kill(); "
+        "sys.stdin.readline()"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE)
+    used = processes.CPU(process.pid)
+    try:
+        until(lambda: len(processes.tree(process.pid)) == 2 and used.seconds() > 0.5)
+        before = used.seconds()
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+        until(lambda: len(processes.tree(process.pid)) == 1)
+        assert used.seconds() >= before
+    finally:
+        process.kill()
         process.wait()

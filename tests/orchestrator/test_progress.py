@@ -5,7 +5,8 @@ import re
 
 import pytest
 
-from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, duration, samples
+from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, duration, parts, samples
+from orchestrator.settings import build, command_line
 
 
 class Clock:
@@ -125,3 +126,15 @@ def test_a_closed_output_stops_nothing():
 def test_numbers_in_words():
     assert [samples(v) for v in (None, 950, 3123, 2e6)] == ["-", "950", "3.1k", "2.0M"]
     assert [duration(v) for v in (40, 420, 12000, 200000)] == ["40 s", "7 min", "3 h 20 min", "2 d 7 h"]
+
+
+@pytest.mark.parametrize(
+    "arguments, text",
+    [
+        (["spare_threads=1"], "1 worker x 1 thread (and 1 spare) and one learner on cpu; runtime ray"),
+        (["spare_threads=1", "runtime=local"], "1 worker x 1 thread and one learner on cpu; runtime local"),
+        (["num_workers=2", "worker_threads=4"], "2 workers x 4 threads and one learner on cpu; runtime ray"),
+    ],
+)
+def test_the_parts_of_a_run(arguments, text):
+    assert parts(build([command_line(["scale=smoke", "device=cpu", *arguments])])) == text
