@@ -152,7 +152,8 @@ def main():
             rates["rollout_one"].append(samples / seconds(collect))
             rates["physics_all"].append(samples / seconds(every))
         rates["train_ray"].append(training_rate(replace(config, runtime="ray", pipeline_depth=1))[0])
-        rates["serial_ray"].append(training_rate(replace(config, runtime="ray", pipeline_depth=0))[0])
+        # as many threads as `local` has: what differs is Ray
+        rates["serial_ray"].append(training_rate(replace(config, runtime="ray", pipeline_depth=0, spare_threads=0))[0])
         rates["serial_local"].append(training_rate(replace(config, runtime="local", pipeline_depth=0))[0])
     memory = training_rate(replace(config, runtime="ray", num_envs=512), iterations=3, measure_memory=True)[1]
     rate = {name: statistics.median(values) for name, values in rates.items()}
