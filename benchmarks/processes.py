@@ -24,8 +24,7 @@ def tree(root):
 class CPU:
     """CPU seconds that a process and all its descendants have used.
 
-    What has ended keeps what it was last seen with. The kernel adds that to the parent only if the parent waits for its
-    children, which Ray's raylet does not.
+    What has ended keeps what it was last seen with: the kernel adds that to the parent only if the parent waits for it.
     """
 
     def __init__(self, root):

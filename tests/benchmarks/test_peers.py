@@ -131,7 +131,7 @@ def test_processes_of_a_tree_are_found_with_what_they_use():
 
 
 def test_what_a_process_has_used_still_counts_when_it_has_ended_and_nobody_waited_for_it():
-    """As Ray's raylet does it: the kernel forgets what the child has used."""
+    """The kernel forgets what such a child has used."""
     inner = "sum(range(10**8)); input()"
     code = (
         "import signal, subprocess, sys; signal.signal(signal.SIGCHLD, signal.SIG_IGN); "
