@@ -19,6 +19,7 @@ from pathlib import Path
 import ray
 from mujoco.batch import Batch
 
+from benchmarks import processes
 from learner.state import LearnerState
 from motion.state_machine import build_state_machine
 from orchestrator import settings
@@ -100,34 +101,13 @@ def training_rate(config, iterations=10, measure_memory=False):
         def note(metrics):
             times.append(time.perf_counter())
             if measure_memory:  # walks /proc, which takes a while
-                memory.append(proportional_memory())
+                memory.append(processes.memory(processes.tree(os.getpid())))
 
         train(config, Path(folder), note)
     time.sleep(2.0)  # actors that end would share the cores with what is measured next
     # the first iteration compiles and fills the pipeline, the last one has nothing to overlap with
     iteration = statistics.median(b - a for a, b in zip(times[:-2], times[1:-1]))
     return config.samples_per_iteration / iteration, max(memory)
-
-
-def proportional_memory():
-    """MB (proportional set size: shared pages counted once) of this process and all its descendants."""
-    children = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-        except OSError:
-            continue
-        children.setdefault(parent, []).append(int(entry.name))
-    total, stack = 0, [os.getpid()]
-    while stack:
-        pid = stack.pop()
-        stack += children.get(pid, [])
-        try:
-            lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-        except OSError:
-            continue
-        total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
-    return total / 1024
 
 
 def main():
