@@ -16,7 +16,7 @@ from orchestrator.settings import build, command_line
 from orchestrator.validate import check_values
 from workers.worker import RolloutWorker
 
-OLD = Path(__file__).parents[1] / "learner/checkpoints/schema4.pt"  # of a version without observation.target
+OLD = Path(__file__).parents[1] / "learner/checkpoints/schema4.pt"  # of a version without these keys
 EASY = {"curriculum.start": [50.0, 500.0, 50.0], "curriculum.window": 1, "curriculum.floor": [1e-9] * 3}
 
 
@@ -145,6 +145,7 @@ def test_what_cannot_be_begun_with_is_refused_in_one_line(configure, source, tmp
         (source, {"action.scale": 3.0}, "action.scale=1.0, asked for action.scale=3.0"),
         (source, {"observation.target": "difference"}, "observation.target=absolute, asked for"),
         (OLD, {"network.hidden": [4], "observation.target": "difference"}, "observation.target=absolute, asked for"),
+        (OLD, {"network.hidden": [4], "network.value_hidden": [3]}, "network.value_hidden=null, asked for"),
     ):
         with pytest.raises(InputError) as error:
             start.check(other(configure, where, **changes))
