@@ -24,6 +24,9 @@ class PolicyConfig:
     noise_window: int = 1
     """Noise is the moving average of this many independent draws, scaled back to the same deviation. 1, the paper:
     independent at every step. More: a push lasts several steps, so that it shows in how the episode ends."""
+    independent_from: int | None = None
+    """Tightenings of a task's thresholds from which on its noise is independent at every step, whatever `noise_window`
+    is: a push of several steps moves the figure farther than tight thresholds are wide. None: never."""
     judges: int = 0
     """k: the environments 0, k, 2k, ... act as in the evaluation, with independent noise of `judge_log_sigma`; PPO does
     not learn from them, and they alone move the curriculum. 0, the paper: none; all explore and all are counted."""

@@ -49,6 +49,7 @@ def snapshot(policy, average, normalizer, config, action_scale, version):
         version=version,
         log_sigma=config.log_sigma,
         noise_window=config.noise_window,
+        independent_from=config.independent_from,
         judges=config.judges,
         judge_log_sigma=config.judge_log_sigma - math.log(action_scale),
         sigma_factor=config.sigma_factor,

@@ -66,6 +66,7 @@ RULES = {
     "network.output_scale": at_least(0),
     "policy.log_sigma": FINITE,
     "policy.noise_window": at_least(1),
+    "policy.independent_from": at_least(0),
     "policy.judges": ("0 or at least 2", lambda v: v == 0 or v >= 2),
     "policy.judge_log_sigma": FINITE,
     "policy.sigma_factor": ("above 0, at most 1", lambda v: 0 < v <= 1),

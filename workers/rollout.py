@@ -57,8 +57,9 @@ class Rollout:
             mean[t] = network.mean(observation[t])
             if judge_network:
                 mean[t, judges] = judge_network.mean(observation[t, judges])
-            log_sigma[t] = policy.exploring_log_sigma(tightenings(env, thresholds, everybody))
-            action[t] = mean[t] + noise.next(log_sigma[t])
+            cuts = tightenings(env, thresholds, everybody)
+            log_sigma[t] = policy.exploring_log_sigma(cuts)
+            action[t] = mean[t] + noise.next(log_sigma[t], policy.independent(cuts))
             pose[t, :, :NQ], pose[t, :, NQ:] = env.qpos, env.qvel
             env.step(action[t], thresholds)
             clock += 1

@@ -51,8 +51,8 @@ class Policy:
     observation_mean, observation_scale: (282,); the network sees clip((s - mean) * scale, -10, 10).
     log_sigma: log standard deviation of every action dimension.
     version: number of updates that made it.
-    noise_window, judges, judge_log_sigma, sigma_factor: how it explores; see `learner.config.PolicyConfig` and
-    `workers.noise`; judge_log_sigma is in units of the network's output, as log_sigma.
+    noise_window, independent_from, judges, judge_log_sigma, sigma_factor: how it explores; see
+    `learner.config.PolicyConfig` and `workers.noise`; judge_log_sigma is in units of the network's output, as log_sigma.
     average_weights, average_biases: as weights and biases, their running average; empty if none is kept.
     """
 
@@ -68,6 +68,7 @@ class Policy:
     average_weights: tuple = ()
     average_biases: tuple = ()
     sigma_factor: float = 1.0
+    independent_from: int | None = None
 
     def exploring_log_sigma(self, tightenings):
         """Log standard deviation of exploring environments' actions after so many cuts of thresholds, both (N,)."""
@@ -75,6 +76,12 @@ class Policy:
             return np.full(len(tightenings), self.log_sigma)
         smallest = min(self.log_sigma, self.judge_log_sigma)
         return np.maximum(self.log_sigma + tightenings * math.log(self.sigma_factor), smallest)
+
+    def independent(self, tightenings):
+        """Whether exploring environments' noise has no window after so many cuts of thresholds, both (N,)."""
+        if self.independent_from is None:
+            return np.zeros(len(tightenings), dtype=bool)
+        return tightenings >= self.independent_from
 
     def averaged(self):
         """The policy that judging environments act with and that is evaluated: of the averaged weights, if any."""

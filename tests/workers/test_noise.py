@@ -20,21 +20,27 @@ def draw(environment, t, window):
     return out[0]
 
 
-def noise(policy, environment, clock, steps):
+def noise(policy, environment, clock, steps, independent=None):
     source = ActionNoise(policy, SEED, np.asarray(environment), clock)
-    return np.array([source.next(np.full(len(environment), policy.log_sigma)) for _ in range(steps)])
+    sigma = np.full(len(environment), policy.log_sigma)
+    alone = np.zeros(len(environment), bool) if independent is None else independent
+    return np.array([source.next(sigma, alone) for _ in range(steps)])
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(1, 6), st.integers(0, 50), st.sampled_from([0, 2, 3]))
-def test_noise_is_the_scaled_sum_of_the_last_draws_and_a_judges_the_last_alone(make_policy, window, clock, judges):
+@given(
+    st.integers(1, 6), st.integers(0, 50), st.sampled_from([0, 2, 3]), st.lists(st.booleans(), min_size=4, max_size=4)
+)
+def test_noise_is_the_scaled_sum_of_the_last_draws_a_judges_and_an_independent_one_the_last_alone(
+    make_policy, window, clock, judges, independent
+):
     policy = replace(make_policy(), noise_window=window, judges=judges, judge_log_sigma=-3.0)
     environment = np.array([0, 1, 5, 6])
-    got = noise(policy, environment, clock, 3)
+    got = noise(policy, environment, clock, 3, np.array(independent))
     for t in range(3):
         for row, index in enumerate(environment):
             draws = [draw(index, clock + t - lag, window) for lag in range(window)]
-            wanted = np.exp(policy.log_sigma) * sum(draws) / window**0.5
+            wanted = np.exp(policy.log_sigma) * (draws[0] if independent[row] else sum(draws) / window**0.5)
             if judges and index % judges == 0:
                 wanted = np.exp(-3.0) * draws[0]
             np.testing.assert_allclose(got[t, row], wanted, rtol=1e-5, atol=1e-6)

@@ -78,7 +78,8 @@ def test_every_task_is_judged_and_explored_by_the_thresholds_of_its_group(
     """Thresholds that differ between groups: each environment's numbers are those under its own ones for all alike."""
     config = make_config({"task.max_steps": 16, "task.stay_probability": 0.0, "reward.tremble_ramp": 3})
     rollout = Rollout(config, library, 24, HORIZON, SEED)
-    state, policy = rollout.initial_state(0), replace(make_policy(), sigma_factor=0.8)
+    policy = replace(make_policy(), sigma_factor=0.8, noise_window=3, independent_from=1)
+    state = rollout.initial_state(0)
     strict = replace(easy, root_position=0.01, tightenings=2)
     strict_groups = np.arange(len(library.groups)) % 2 == 1
     rows = [strict.of(np.zeros(1))[0] if own else easy.of(np.zeros(1))[0] for own in strict_groups]
@@ -210,6 +211,18 @@ def test_tighter_thresholds_are_explored_with_less_noise_but_never_less_than_jud
         got = chunk.action[0] - chunk.mean[0]
         np.testing.assert_allclose(got[exploring], wanted * noise[exploring], atol=1e-5)
         np.testing.assert_allclose(got[~exploring], np.exp(-2.0) * noise[~exploring], atol=1e-5)
+
+
+def test_noise_has_no_window_from_so_many_tightenings_on(trajectories, make_policy, easy):
+    policy = replace(make_policy(version=3), noise_window=3, independent_from=2)
+    state = trajectories.states[3]
+    draws = np.empty((3, 24, 31))  # of this step and of the two before
+    for lag, draw in enumerate(draws):
+        fill_normal(SEED, ACTION, state.environment, np.full(24, state.clock + 2 - lag), draw)
+    for tightenings, wanted in ((1, draws.sum(axis=0) / np.sqrt(3)), (2, draws[0]), (34, draws[0])):
+        chunk, _ = trajectories.rollout.collect(state, policy, replace(easy, tightenings=tightenings))
+        got = (chunk.action[0] - chunk.mean[0]) / np.exp(policy.log_sigma)
+        np.testing.assert_allclose(got, wanted, atol=1e-5)
 
 
 def test_outcomes_account_for_every_step_and_reward_of_their_episodes(trajectories):
