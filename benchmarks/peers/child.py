@@ -92,7 +92,7 @@ def run_segue(arguments, folder, budget):
         writer.write(config.samples_per_iteration, ended, reached, False, at)
         writer.write(0, 0, 0, True, at)
         if shadow.explores_otherwise(config):
-            shadow.save(folder / POLICIES, iteration, loop._runtime.value(evidence[1]))
+            shadow.save(folder / POLICIES, iteration, loop._runtime.value(evidence[1]), config.observation)
         if not asked and budget():
             asked.append(True)  # a second signal would end the process at once
             os.kill(os.getpid(), signal.SIGINT)

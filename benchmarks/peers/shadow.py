@@ -6,12 +6,13 @@ something else. Here its policies, one per iteration, act once more, in environm
 tasks, independent noise of the training's size.
 """
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from benchmarks.peers.task import first_thresholds
 from learner import checkpoint
 from motion.state_machine import build_state_machine
 from orchestrator.saved import arrays
+from workers.config import ObservationConfig
 from workers.library import build_library
 from workers.rollout import Rollout
 from workers.types import REACHED, Policy
@@ -25,27 +26,36 @@ def explores_otherwise(config):
     return bool(policy.judges or policy.noise_window > 1 or config.task.focus)
 
 
-def save(folder, iteration, policy):
-    """Keep the `Policy` that collected the chunk of an iteration, counted from 1."""
-    checkpoint.save(folder, iteration, vars(policy), keep=iteration)
+def save(folder, iteration, policy, observation):
+    """Keep the `Policy` that collected the chunk of an iteration, counted from 1, and the `ObservationConfig` by which
+    it sees: in another encoding its numbers mean nothing."""
+    checkpoint.save(folder, iteration, {"policy": vars(policy), "observation": asdict(observation)}, keep=iteration)
+
+
+def load(folder, iteration):
+    """(`Policy`, `ObservationConfig`) of an iteration."""
+    content = checkpoint.load(folder / f"{iteration:08d}.pt")
+    return Policy(**arrays(content["policy"])), ObservationConfig(**content["observation"])
 
 
 def achievement(config, folder, last, window, averaged=False):
     """Achievement rate of the policies of the `window` iterations up to iteration `last`, a chunk by each.
 
-    config: `Config` of plain PPO. averaged: by the running averages of their weights (`policy.average`) instead.
+    config: `Config` of plain PPO, but for the observation, which is the run's own. averaged: by the running averages of
+    their weights (`policy.average`) instead.
     """
+    numbers = [max(last - window + 1 + i, 1) for i in range(window)]
+    config = replace(config, observation=load(folder, numbers[0])[1])
     rollout = Rollout(
         config, build_library(build_state_machine(config.motions)), config.num_envs, config.horizon,
         config.seed + SEED, config.worker_threads,
     )  # fmt: skip
     limits, state = first_thresholds(config), rollout.initial_state(0)
-    numbers = [max(last - window + 1 + i, 1) for i in range(window)]
     # all environments begin together, short episodes end first: until time is up, the rate is not that of the tasks
     before = -(-config.task.max_steps // config.horizon)
     reached = ended = 0
     for i, number in enumerate([numbers[0]] * before + numbers):
-        policy = Policy(**arrays(checkpoint.load(folder / f"{number:08d}.pt")))
+        policy, _ = load(folder, number)
         policy = policy.averaged() if averaged else policy
         policy = replace(policy, noise_window=1, judges=0, average_weights=(), average_biases=())
         chunk, state = rollout.collect(state, policy, limits)

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from benchmarks.peers.libraries import build_lines
 from benchmarks.peers.lines import count_lines
 from benchmarks.peers.record import Writer, read
 from benchmarks.peers.task import PLAIN, build_config, first_thresholds
+from workers.config import ObservationConfig
 from workers.types import REACHED
 
 STEPS = 80
@@ -69,12 +71,14 @@ def test_records_of_several_processes_are_read_as_one_run(tmp_path):
     assert record.achievement(0.0, 20) is None
 
 
-def test_a_shadow_counts_the_fresh_tasks_of_the_policies_it_is_given(make_config, make_policy, tmp_path):
-    """By the policies of the window, in their order, after as many steps as an episode may take."""
-    config = make_config({"task.max_steps": 16, "curriculum.start": [0.35, 3.0, 1.0]})
-    policies = [make_policy(seed=k) for k in range(1, 5)]
+@pytest.mark.parametrize("target", ["absolute", "difference"])
+def test_a_shadow_counts_the_fresh_tasks_of_the_policies_it_is_given(target, make_config, make_policy, tmp_path):
+    """By the policies of the window, in their order, after as many steps as an episode may take, seeing as they do."""
+    plain = make_config({"task.max_steps": 16, "curriculum.start": [0.35, 3.0, 1.0]})
+    config = replace(plain, observation=ObservationConfig(target=target))
+    policies = [make_policy(seed=k, gain=1.0) for k in range(1, 5)]
     for iteration, policy in enumerate(policies, 1):
-        shadow.save(tmp_path, iteration, policy)
+        shadow.save(tmp_path, iteration, policy, config.observation)
     rollout = shadow.Rollout(
         config, shadow.build_library(shadow.build_state_machine(config.motions)), 8, 8, config.seed + shadow.SEED
     )
@@ -82,7 +86,7 @@ def test_a_shadow_counts_the_fresh_tasks_of_the_policies_it_is_given(make_config
     for policy in [policies[1], policies[1], *policies[1:]]:
         chunk, state = rollout.collect(state, policy, first_thresholds(config))
         counted.append(chunk.outcomes.end[~chunk.outcomes.retained] == REACHED)
-    assert shadow.achievement(config, tmp_path, last=4, window=3) == np.concatenate(counted[2:]).mean()
+    assert shadow.achievement(plain, tmp_path, last=4, window=3) == np.concatenate(counted[2:]).mean()
     assert not shadow.explores_otherwise(config)
 
 
