@@ -7,8 +7,8 @@ tasks drawn from its grid, without noise, and what it does is improved task by t
 is added to its actions, and a round tries random offsets, fits by least squares how the pose at arrival depends on
 them, and takes the best of several Gauss-Newton steps towards the target. Printed for each task is the largest of
 d^rp, d^kp, d^q over its final accuracy at the nearest step before a fall, of the policy and of the improved motion: at
-1 or below the task is reached at the final accuracy (section 4). An upper bound of what physics asks for, not a policy:
-it holds for one motion, known in advance and without noise.
+1 or below the task is reached at the final accuracy (section 4). That shows what physics allows to one motion, known in
+advance and without noise; not that a policy can do it, nor, where it is above 1, that nothing can.
 """
 
 import argparse
@@ -65,6 +65,9 @@ def main():
     parser.add_argument("--json", action="store_true", help="print one last line with every figure")
     parser.add_argument("overrides", nargs="*", help="key=value")
     options = parser.parse_intermixed_args()
+    for name, least in (("tasks", 1), ("rounds", 0), ("simulations", 2), ("steps", 1)):
+        if getattr(options, name) < least:
+            parser.error(f"--{name}: must be at least {least}")
     try:
         config = load(config_path(options.run), options.overrides)
         policy = load_newest(options.run, config).policy
