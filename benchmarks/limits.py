@@ -156,7 +156,7 @@ class Search:
         }  # fmt: skip
 
     def _round(self, task, best, at, sigma, rng):
-        """(offsets (H, 31), ratio, step) of the best of one round's tries around the offsets `best`, nearest at `at`."""
+        """(offsets (H, 31), ratio, step) of the best of one round's tries around `best`, which is nearest at `at`."""
         tried = rng.normal(0.0, sigma, (self._env.num_envs, self._steps, NUM_DOF))
         tried[:, at + 1 :] = 0.0
         tried[0] = 0.0
@@ -179,8 +179,8 @@ class Search:
 
 
 def newton_steps(x, y, residual):
-    """Steps (k, D) that should take a residual (R,) to zero, if the changes x (M, D) of what it depends on changed it by
-    y (M, R): Gauss-Newton with a ridge regression for the Jacobian, at several ridges, dampings and lengths."""
+    """Steps (k, D) that should take a residual (R,) to zero, if the changes x (M, D) of what it depends on changed it
+    by y (M, R): Gauss-Newton with a ridge regression for the Jacobian, at several ridges, dampings and lengths."""
     kernel, found = x @ x.T, []
     for ridge in _RIDGES:
         jacobian = np.linalg.solve(_damped(kernel, ridge), y).T @ x

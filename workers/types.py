@@ -52,7 +52,8 @@ class Policy:
     log_sigma: log standard deviation of every action dimension.
     version: number of updates that made it.
     noise_window, independent_from, judges, judge_log_sigma, sigma_factor: how it explores; see
-    `learner.config.PolicyConfig` and `workers.noise`; judge_log_sigma is in units of the network's output, as log_sigma.
+    `learner.config.PolicyConfig` and `workers.noise`; judge_log_sigma is in units of the network's output, as
+    log_sigma.
     average_weights, average_biases: as weights and biases, their running average; empty if none is kept.
     """
 
