@@ -55,7 +55,30 @@ _GOOD_ENOUGH = 0.9  # of the final accuracy: the search ends
 
 def main():
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    search, drawn, rng, options = prepare(__doc__)
+    found = []
+    for label, task in drawn:
+        figures = search.improve(task, options.rounds, rng)
+        print(
+            f"{label}: policy {figures['policy']:.2f}, improved {figures['improved']:.2f} of the final accuracy at "
+            f"step {figures['step']}, offsets of {figures['offset']:.3f} rad, {figures['rounds']} rounds",
+            flush=True,
+        )
+        found.append({"task": task.tolist(), "label": label, **figures})
+    ratios = np.array([[item["policy"], item["improved"]] for item in found])
+    reached = (ratios <= 1).sum(axis=0)
+    middle = np.median(ratios, axis=0)
+    print(
+        f"within the final accuracy: policy {reached[0]}, improved {reached[1]} of {len(found)}; median of the ratios "
+        f"{middle[0]:.2f} and {middle[1]:.2f}, largest {ratios[:, 0].max():.2f} and {ratios[:, 1].max():.2f}"
+    )
+    if options.json:
+        print(json.dumps(found))
+
+
+def prepare(description):
+    """(Search, [(label, task (4,))] drawn from the grid, random numbers for the rest, options) of the command line."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", help="a run's folder")
     parser.add_argument("--tasks", type=int, default=12)
     parser.add_argument("--rounds", type=int, default=40, help="at most, per task")
@@ -75,57 +98,48 @@ def main():
         parser.error(str(error))
     machine = build_state_machine(config.motions)
     library, rng = build_library(machine), np.random.default_rng(options.seed)
-    search = Search(config, library, policy, options.simulations, options.steps)
-    grid = TaskGrid(library, replace(config.evaluation, max_tasks=0))
-    names, found = [state.name for state in machine.states], []
+    grid, drawn = TaskGrid(library, replace(config.evaluation, max_tasks=0)), []
     for number in rng.choice(len(grid), size=min(options.tasks, len(grid)), replace=False):
         task = grid.tasks([number])[0]
-        figures = search.improve(task, options.rounds, rng)
         source, moment, target, turn = task
-        label = f"{names[int(source)]} at {moment:.2f} s to {names[int(target)]}, {math.degrees(turn):.0f} degrees"
-        print(
-            f"{label}: policy {figures['policy']:.2f}, improved {figures['improved']:.2f} of the final accuracy at "
-            f"step {figures['step']}, offsets of {figures['offset']:.3f} rad, {figures['rounds']} rounds",
-            flush=True,
-        )
-        found.append({"task": task.tolist(), "label": label, **figures})
-    ratios = np.array([[item["policy"], item["improved"]] for item in found])
-    reached = (ratios <= 1).sum(axis=0)
-    middle = np.median(ratios, axis=0)
-    print(
-        f"within the final accuracy: policy {reached[0]}, improved {reached[1]} of {len(found)}; median of the ratios "
-        f"{middle[0]:.2f} and {middle[1]:.2f}, largest {ratios[:, 0].max():.2f} and {ratios[:, 1].max():.2f}"
-    )
-    if options.json:
-        print(json.dumps(found))
+        source, target = machine.states[int(source)].name, machine.states[int(target)].name
+        drawn.append((f"{source} at {moment:.2f} s to {target}, {math.degrees(turn):.0f} degrees", task))
+    return Search(config, library, policy, options.simulations, options.steps), drawn, rng, options
 
 
 class Search:
     """Plays one task in N simulations that differ in the offsets added to the policy's actions."""
 
     def __init__(self, config, library, policy, simulations, steps):
-        """policy: `workers.types.Policy`, whose mean acts. simulations: N. steps: H, policy steps of a motion."""
-        self._env, self._network = Environment(config, library, simulations), PolicyNetwork(policy, simulations)
-        self._steps, self._scale = steps, config.action.scale
-        self._final = np.array(config.curriculum.floor)
+        """policy: `workers.types.Policy`, whose mean acts. simulations: N. steps: H, policy steps of a motion.
 
-    def play(self, task, offsets, at=None):
+        final: (3,), the final accuracy of d^rp, d^kp, d^q. noise: deviation of the evaluation's actions.
+        """
+        self._env, self._network = Environment(config, library, simulations), PolicyNetwork(policy, simulations)
+        self.simulations, self.steps, self._scale = simulations, steps, config.action.scale
+        self.final = np.array(config.curriculum.floor)
+        self.noise = math.exp(config.evaluation.log_sigma) / config.action.scale  # in units of the network's output
+
+    def play(self, task, offsets, at=None, actions=None):
         """(ratios (n, H), residuals (n, RESIDUALS) after step `at` or None) of a task (4,) with offsets (n, H, 31).
 
-        offsets: in units of the network's output; n <= N. A ratio is the largest of d^rp, d^kp, d^q over its final
-        accuracy after a step, infinite from a fall on.
+        offsets: in units of the network's output; n <= N. actions: (H, 31), what they are added to instead of the
+        policy's mean where each simulation is. A ratio is the largest of d^rp, d^kp, d^q over its final accuracy after
+        a step, infinite from a fall on. What acted stays in `acted` (n, H, 31) until the next call.
         """
         env, n = self._env, len(offsets)
         rows = np.arange(n)
         env.task[:n] = task
         env.begin(rows)
-        ratios, standing, residuals = np.full((n, self._steps), np.inf), np.ones(n, dtype=bool), None
+        ratios, standing, residuals = np.full((n, self.steps), np.inf), np.ones(n, dtype=bool), None
         action = np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
-        for t in range(self._steps):
-            action[:n] = self._network.mean(env.observe(new_observations(n), rows)) + offsets[:, t]
+        self.acted = np.empty((n, self.steps, NUM_DOF), dtype=np.float32)
+        for t in range(self.steps):
+            mean = self._network.mean(env.observe(new_observations(n), rows)) if actions is None else actions[t]
+            self.acted[:, t] = action[:n] = mean + offsets[:, t]
             env.step(action, _NEVER, rows)
             standing &= env.end[:n] != FELL
-            ratios[standing, t] = (env.deviations[:n][standing][:, [RP, KP, Q]] / self._final).max(axis=1)
+            ratios[standing, t] = (env.deviations[:n][standing][:, [RP, KP, Q]] / self.final).max(axis=1)
             if t == at:
                 residuals = self.residuals(n)
         return ratios, residuals
@@ -133,14 +147,14 @@ class Search:
     def residuals(self, n):
         """What is left to the target in the first n simulations, (n, RESIDUALS): see `_residuals`."""
         env, out = self._env, np.empty((n, RESIDUALS))
-        _residuals(env.qpos[:n], env.bodies[:n], env.target_qpos[:n], env.target_bodies[:n], self._final, out)
+        _residuals(env.qpos[:n], env.bodies[:n], env.target_qpos[:n], env.target_bodies[:n], self.final, out)
         return out
 
     def improve(self, task, rounds, rng):
         """{policy, improved: ratios at the nearest step; step: that of the improved motion, from 1; offset: root mean
         square of its offsets, rad; rounds: how many it took; offsets: (H, 31), in units of the network's output}."""
-        best = np.zeros((self._steps, NUM_DOF))
-        ratio, at = _nearest(self.play(task, best[None])[0])[1:]
+        best = np.zeros((self.steps, NUM_DOF))
+        ratio, at = nearest(self.play(task, best[None])[0])[1:]
         first, sigma, done = ratio, 0.05, 0
         while done < rounds and ratio > _GOOD_ENOUGH:
             done += 1
@@ -157,11 +171,11 @@ class Search:
 
     def _round(self, task, best, at, sigma, rng):
         """(offsets (H, 31), ratio, step) of the best of one round's tries around `best`, which is nearest at `at`."""
-        tried = rng.normal(0.0, sigma, (self._env.num_envs, self._steps, NUM_DOF))
+        tried = rng.normal(0.0, sigma, (self._env.num_envs, self.steps, NUM_DOF))
         tried[:, at + 1 :] = 0.0
         tried[0] = 0.0
         ratios, residuals = self.play(task, best + tried, at)
-        i, ratio, step = _nearest(ratios)
+        i, ratio, step = nearest(ratios)
         found = best + tried[i], ratio, step
         standing = np.isfinite(ratios[:, at])
         if not standing[0] or standing.sum() < 2:
@@ -169,10 +183,10 @@ class Search:
         x = tried[standing, : at + 1].reshape(standing.sum(), -1)
         residuals = residuals * _BALANCE
         steps = newton_steps(x, residuals[standing] - residuals[0], residuals[0])
-        guesses = np.zeros((len(steps), self._steps, NUM_DOF))
+        guesses = np.zeros((len(steps), self.steps, NUM_DOF))
         guesses[:, : at + 1] = steps.reshape(len(steps), at + 1, NUM_DOF)
         for some in np.array_split(best + guesses, -(-len(guesses) // self._env.num_envs)):
-            i, ratio, step = _nearest(self.play(task, some)[0])
+            i, ratio, step = nearest(self.play(task, some)[0])
             if ratio < found[1]:
                 found = some[i], ratio, step
         return found
@@ -196,7 +210,7 @@ def _damped(square, share):
     return square + added * np.eye(len(square))
 
 
-def _nearest(ratios):
+def nearest(ratios):
     """(row, ratio, step) of the smallest of ratios (n, H)."""
     row, step = np.unravel_index(ratios.argmin(), ratios.shape)
     return int(row), ratios[row, step], int(step)

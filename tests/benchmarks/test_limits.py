@@ -63,3 +63,18 @@ def test_an_improved_motion_is_nearer_and_comes_out_again_when_played(search):
     assert plain.min(axis=1) == pytest.approx([found["policy"]] * 3, rel=1e-9)
     twice = search.improve(task, 4, np.random.default_rng(3))
     assert twice == found
+
+
+def test_a_motions_own_actions_take_it_where_it_went_and_noise_of_them_elsewhere(search):
+    search, library = search
+    task, still = task_of(library, 1, 0.4, -0.5), np.zeros((3, STEPS, 31))
+    ratios, residuals = search.play(task, still, STEPS - 1)
+    again, same = search.play(task, still, STEPS - 1, actions=search.acted[0])
+    np.testing.assert_array_equal(again, ratios)
+    np.testing.assert_array_equal(same, residuals)
+    noise = np.zeros_like(still)
+    noise[1, -1], noise[2, 0] = 0.1, 0.1
+    last, _ = search.play(task, noise, actions=search.acted[0])
+    np.testing.assert_array_equal(last[0], ratios[0])
+    np.testing.assert_array_equal(last[1, :-1], ratios[0, :-1])
+    assert last[1, -1] != ratios[0, -1] and last[2, 0] != ratios[0, 0]
