@@ -63,6 +63,8 @@ class PPOConfig:
     """kfac: added to the factors' diagonals, in units of the mean of their eigenvalues."""
     natural_rate: float = 0.1
     """kfac: step size when it begins."""
+    natural_epochs: int | None = None
+    """kfac: times each transition is used per update. None: `epochs`."""
     learning_rate: float = 3e-4
     """Adam's step size: of the value network, and at the start of the policy."""
     target_kl: float | None = None
@@ -87,6 +89,10 @@ class PPOConfig:
     def method(self, updates):
         """`adam` or `kfac`: how the policy descends after so many updates."""
         return "kfac" if self.optimizer == "kfac" and updates >= self.kfac_after else "adam"
+
+    def passes(self, method):
+        """How often an update with a `method` uses each transition."""
+        return self.natural_epochs if method == "kfac" and self.natural_epochs is not None else self.epochs
 
 
 @dataclass

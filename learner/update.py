@@ -52,21 +52,24 @@ def update(state, chunks):
 
 
 def _epochs(state, batch, demonstrator):
-    """All steps of an update; ({metric: mean over the steps}, mean KL divergence of the last epoch)."""
+    """All steps of an update; ({metric: mean over the steps}, mean KL divergence of the last epoch).
+
+    Of a single epoch it is that of the second half: what `target_kl` means is then much the same as with two.
+    """
     shuffle = state.random(SHUFFLE)
     _ready(state, batch, demonstrator, shuffle)
-    sums, steps, last = {}, 0, 0.0
-    epochs = state.config.ppo.epochs
-    for epoch in range(epochs):
+    sums, divergences = {}, []
+    epochs = state.config.ppo.passes(state.method)
+    for _ in range(epochs):
         for rows in np.array_split(shuffle.permutation(batch.explored), batch.minibatches):
             record = demonstrator.step()
             record.update(_step(state, batch, torch.as_tensor(rows, device=state.device)))
             for name, number in record.items():
                 sums[name] = sums.get(name, 0.0) + number
-            if epoch == epochs - 1:
-                last += record["policy/kl"]
-            steps += 1
-    return {name: float(total) / steps for name, total in sums.items()}, float(last) / batch.minibatches
+            divergences.append(record["policy/kl"])
+    late = divergences[-(batch.minibatches if epochs > 1 else -(-batch.minibatches // 2)) :]
+    steps = len(divergences)
+    return {name: float(total) / steps for name, total in sums.items()}, float(sum(late)) / len(late)
 
 
 def _ready(state, batch, demonstrator, shuffle):

@@ -65,6 +65,14 @@ class TaskConfig:
     """T of Eq. 14 in seconds."""
     max_steps: int = 60
     """A transition that takes more policy steps than this is a failure (time-out)."""
+    training_steps: int | None = None
+    """The same in training, where it is earlier: who has missed a tight target seldom comes back, and to watch how it
+    falls costs samples. None, the paper: `max_steps`."""
+
+    @property
+    def time_limit(self):
+        """Policy steps that an episode may take, in training."""
+        return self.max_steps if self.training_steps is None else min(self.training_steps, self.max_steps)
 
 
 @dataclass

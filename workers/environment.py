@@ -164,7 +164,7 @@ class Environment:
             rows, self.qpos, self.qvel, last_qvel, diverged, self.bodies, self.rotations,
             self.target_qpos, self.target_qvel, self.target_bodies,
             limits,
-            self._mask, self.config.task.max_steps, self._own_frame,
+            self._mask, self.config.task.time_limit, self._own_frame,
             bool(switches.upper_body_penalty), tremble_share(switches, limits[:, 4]),
             float(switches.failure),
             self.deviations, self.joints, self.steps, self.trembles, self.parts, self.end, self.fell_on,

@@ -23,8 +23,10 @@ _ZEROS = np.zeros(NUM_JOINTS)
 
 
 def judged_config(config):
-    """The run's configuration with the full reward: "Return: always with the full reward" (section 6)."""
-    return replace(config, reward=RewardConfig(key_body_frame=config.reward.key_body_frame))
+    """The run's configuration with the full reward ("Return: always with the full reward", section 6), and all the time
+    that a transition may take."""
+    reward = RewardConfig(key_body_frame=config.reward.key_body_frame)
+    return replace(config, reward=reward, task=replace(config.task, training_steps=None))
 
 
 class Acting:

@@ -180,6 +180,38 @@ def test_kfac_takes_over_from_adam_when_asked_and_keeps_the_networks(lessons, ma
     assert state.policy_optimizer.state_dict()["seen"] == 2
 
 
+def test_kfac_has_epochs_of_its_own_when_asked_and_adam_has_none_of_them(lessons, make_config, assert_same_bits):
+    kfac = {"ppo.optimizer": "kfac", "ppo.kfac_after": 1, "ppo.natural_epochs": 1, "ppo.epochs": 3}
+    first, _ = update(learner(make_config(kfac)), lessons[:1])
+    plain, _ = update(learner(make_config({"ppo.epochs": 3})), lessons[:1])
+    assert_same_bits(content(first), content(plain))
+    own, metrics = update(first, lessons[1:2])
+    first.config = make_config({"ppo.optimizer": "kfac", "ppo.kfac_after": 1, "ppo.epochs": 1})
+    one, same = update(first, lessons[1:2])
+    assert_same_bits([content(own), metrics], [content(one), same])
+
+
+@pytest.mark.parametrize("epochs", [1, 2, 3])
+def test_the_step_size_follows_the_divergence_of_the_last_steps(epochs, lessons, make_config, monkeypatch):
+    """The last epoch's, or the second half of the only one's: mean KL divergence from the policy before the update."""
+    config = make_config({"ppo.epochs": epochs, "ppo.minibatch_size": 32})
+    seen, means = [], []
+    real = ppo.policy_loss
+
+    def loss(*arguments):
+        out = real(*arguments)
+        seen.append(float(out[1]))
+        return out
+
+    monkeypatch.setattr(ppo, "policy_loss", loss)
+    monkeypatch.setattr(ppo, "adapt_learning_rate", lambda rate, mean, *_: means.append(mean) or rate)
+    update(learner(config), lessons[:1])
+    each = len(seen) // epochs
+    assert each % 2 == 0 and each > 2
+    late = seen[-each:] if epochs > 1 else seen[each // 2 :]
+    assert means == [pytest.approx(np.mean(late), rel=1e-5)]
+
+
 @pytest.mark.parametrize("optimizer, first", [("adam", 3e-4), ("kfac", 0.1)])
 def test_the_learning_rate_in_use_is_the_adapted_one(optimizer, first, lessons, make_config):
     config = make_config({"ppo.target_kl": 1e-9, "ppo.optimizer": optimizer})

@@ -27,9 +27,10 @@ def configure(make_config):
     def make(**changes):
         easy = {"curriculum.start": [1.0, 8.0, 2.0], "curriculum.window": 1, "curriculum.achievement": 0.2}
         carried = {"policy.judges": 2, "policy.average": 0.9, "task.focus": 0.5, "curriculum.scope": "source"}
-        carried |= {"policy.sigma_factor": 0.8, "ppo.optimizer": "kfac"}
+        carried |= {"policy.sigma_factor": 0.8, "ppo.optimizer": "kfac", "ppo.natural_epochs": 1}
         carried |= {"policy.noise_window": 3, "policy.independent_from": 2}
-        return make_config({"budget.iterations": 5, "task.max_steps": 8, **easy, **carried, **changes})
+        time = {"budget.iterations": 5, "task.max_steps": 12, "task.training_steps": 8}
+        return make_config({**time, **easy, **carried, **changes})
 
     return make
 

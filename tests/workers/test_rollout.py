@@ -65,6 +65,20 @@ def test_an_environment_of_a_batch_of_64_equals_the_same_one_alone(
     assert ended > 15
 
 
+def test_training_ends_an_episode_after_training_steps_if_that_is_earlier(
+    library, make_config, make_policy, easy, assert_same_bits
+):
+    def chunks(**task):
+        rollout = Rollout(make_config({f"task.{name}": steps for name, steps in task.items()}), library, 24, 8, SEED)
+        return collected(rollout, rollout.initial_state(0), 3, make_policy, easy)
+
+    short = chunks(training_steps=5, max_steps=16)
+    assert_same_bits(short, chunks(max_steps=5))
+    assert_same_bits(chunks(training_steps=16, max_steps=5), chunks(max_steps=5))
+    late = [steps for chunk in short[0] for steps in chunk.outcomes.steps[chunk.outcomes.end == TIMED_OUT]]
+    assert late and set(late) == {5}
+
+
 @pytest.mark.parametrize("threads", [2, 3])
 def test_threads_change_no_number(threads, library, trajectories, make_policy, easy, assert_same_bits):
     rollout = Rollout(trajectories.config, library, 24, HORIZON, SEED, threads)

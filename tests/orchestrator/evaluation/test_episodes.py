@@ -63,6 +63,15 @@ def test_one_simulation_gives_what_one_per_accuracy_gives(
     assert (together[0].steps == 1).all() and (together[1].steps < together[2].steps).any()
 
 
+def test_an_evaluation_takes_all_the_time_that_training_does_not(
+    library, make_config, make_policy, tasks, numbers, assert_same_bits
+):
+    whole, short = (make_config({"task.max_steps": 24, **more}) for more in ({}, {"task.training_steps": 3}))
+    played = [run_tasks(config, library, make_policy(), tasks, LIMITS, -2.0, numbers) for config in (whole, short)]
+    assert_same_bits(*played)
+    assert played[0].steps.max() > 3
+
+
 def test_a_ladder_tells_which_thresholds_an_episode_of_its_own_would_have_met(
     library, make_config, nothing, tasks, numbers
 ):
