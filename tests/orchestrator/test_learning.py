@@ -30,7 +30,7 @@ def train(tmp_path):
             "ppo.minibatch_size=256", "ppo.final_kl=null", "ppo.kl_updates=0", "policy.judges=4", "policy.average=0.8",
             "curriculum.window=8", "checkpoint.every=1000",
             # the fastest in so few samples; what the laptop has is ahead after a million (lab book, section 11)
-            "observation.target=absolute", *arguments,
+            "observation.target=absolute", "ppo.epochs=4", *arguments,
         ])  # fmt: skip
         run.train(settings.build([layers]), tmp_path / "run")
         lines = [json.loads(line) for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
