@@ -171,7 +171,7 @@ class Search:
 
     def _round(self, task, best, at, sigma, rng):
         """(offsets (H, 31), ratio, step) of the best of one round's tries around `best`, which is nearest at `at`."""
-        tried = rng.normal(0.0, sigma, (self._env.num_envs, self.steps, NUM_DOF))
+        tried = rng.normal(0.0, sigma, (self.simulations, self.steps, NUM_DOF))
         tried[:, at + 1 :] = 0.0
         tried[0] = 0.0
         ratios, residuals = self.play(task, best + tried, at)
@@ -185,7 +185,7 @@ class Search:
         steps = newton_steps(x, residuals[standing] - residuals[0], residuals[0])
         guesses = np.zeros((len(steps), self.steps, NUM_DOF))
         guesses[:, : at + 1] = steps.reshape(len(steps), at + 1, NUM_DOF)
-        for some in np.array_split(best + guesses, -(-len(guesses) // self._env.num_envs)):
+        for some in np.array_split(best + guesses, -(-len(guesses) // self.simulations)):
             i, ratio, step = nearest(self.play(task, some)[0])
             if ratio < found[1]:
                 found = some[i], ratio, step

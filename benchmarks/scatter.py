@@ -30,7 +30,8 @@ def main():
         figures = {**arrivals(search, task, rng), **shares(search, task, options.rounds, rng)}
         found.append({"task": task.tolist(), "label": label, **figures})
         print(f"{label}: {_line(figures)}", flush=True)
-    medians = {name: float(np.median([item[name] for item in found])) for name in figures if name != "shares"}
+    names = ("bias", "spread", "open", "improved")
+    medians = {name: float(np.median([item[name] for item in found])) for name in names}
     means = np.mean([item["shares"] for item in found], axis=0).tolist()
     print(f"medians, and mean shares, of {len(found)}: {_line({**medians, 'shares': means})}")
     if options.json:

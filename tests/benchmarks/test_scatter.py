@@ -33,9 +33,8 @@ def test_without_noise_nothing_scatters_and_the_bias_is_the_deviation(setting):
     still = search(*setting, factor=0.0)
     found = arrivals(still, task(setting[0]), np.random.default_rng(0))
     assert found["spread"] == pytest.approx(0.0, abs=1e-12) and found["open"] == pytest.approx(0.0, abs=1e-12)
-    ratios, residuals = still.play(task(setting[0]), np.zeros((1, STEPS, 31)), None)
-    at = int(ratios.argmin())
-    residuals = still.play(task(setting[0]), np.zeros((1, STEPS, 31)), at)[1]
+    ratios, _ = still.play(task(setting[0]), np.zeros((1, STEPS, 31)))
+    _, residuals = still.play(task(setting[0]), np.zeros((1, STEPS, 31)), int(ratios.argmin()))
     assert found["bias"] == pytest.approx(np.linalg.norm(residuals[0, :3]) * still.final[0])
 
 
