@@ -47,7 +47,7 @@ _WEIGHTS = skeleton.JOINT_WEIGHTS
 RESIDUALS = 3 + 3 * len(_KEYS) + NUM_DOF
 # what makes the squares of root, key bodies and joints count alike where each deviation is spread evenly
 _BALANCE = np.repeat([1.0, math.sqrt(len(_KEYS)), math.sqrt(NUM_DOF)], [3, 3 * len(_KEYS), NUM_DOF])
-_NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
+NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
 _RIDGES, _DAMPINGS = (0.01, 0.1, 1.0), (1e-3, 1e-2, 1e-1)  # in units of the mean eigenvalue
 _LENGTHS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4)  # of a Gauss-Newton step
 _GOOD_ENOUGH = 0.9  # of the final accuracy: the search ends
@@ -91,12 +91,7 @@ def prepare(description):
     for name, least in (("tasks", 1), ("rounds", 0), ("simulations", 2), ("steps", 1)):
         if getattr(options, name) < least:
             parser.error(f"--{name}: must be at least {least}")
-    try:
-        config = load(config_path(options.run), options.overrides)
-        policy = load_newest(options.run, config).policy
-    except InputError as error:
-        parser.error(str(error))
-    machine = build_state_machine(config.motions)
+    config, policy, machine = opened(parser, options)
     library, rng = build_library(machine), np.random.default_rng(options.seed)
     grid, drawn = TaskGrid(library, replace(config.evaluation, max_tasks=0)), []
     for number in rng.choice(len(grid), size=min(options.tasks, len(grid)), replace=False):
@@ -105,6 +100,15 @@ def prepare(description):
         source, target = machine.states[int(source)].name, machine.states[int(target)].name
         drawn.append((f"{source} at {moment:.2f} s to {target}, {math.degrees(turn):.0f} degrees", task))
     return Search(config, library, policy, options.simulations, options.steps), drawn, rng, options
+
+
+def opened(parser, options):
+    """(config, policy of the newest checkpoint, state machine) of a command line's `run` and `overrides`."""
+    try:
+        config = load(config_path(options.run), options.overrides)
+        return config, load_newest(options.run, config).policy, build_state_machine(config.motions)
+    except InputError as error:
+        parser.error(str(error))
 
 
 class Search:
@@ -137,7 +141,7 @@ class Search:
         for t in range(self.steps):
             mean = self._network.mean(env.observe(new_observations(n), rows)) if actions is None else actions[t]
             self.acted[:, t] = action[:n] = mean + offsets[:, t]
-            env.step(action, _NEVER, rows)
+            env.step(action, NEVER, rows)
             standing &= env.end[:n] != FELL
             ratios[standing, t] = (env.deviations[:n][standing][:, [RP, KP, Q]] / self.final).max(axis=1)
             if t == at:

@@ -60,6 +60,7 @@ RULES = {
     "physics.iterations": at_least(1),
     "physics.ls_iterations": at_least(1),
     "physics.tolerance": above(0),
+    "physics.sole": at_least(0),
     "physics.max_speed": above(0),
     "physics.max_unstable_share": PROBABILITY,
     "network.hidden": every(at_least(1)),

@@ -109,6 +109,10 @@ class PhysicsConfig:
     """Most iterations of its line search."""
     tolerance: float = 1e-6
     """The solver stops when an iteration improves its (scaled) cost by less; MuJoCo's 1e-8 moves nothing visible."""
+    sole: float = 0.0
+    """Depth in m over which the soles of the feet give way, half of it below the foot's box: the ground's force begins
+    at zero there. 0: the foot's box itself, whose corners take hold at once (MuJoCo's default contact), so that the
+    smallest push may decide which of them holds."""
     max_speed: float = 200.0
     """A simulation in which anything moves faster (m/s, rad/s) has exploded; its episode ends as a failure. Falls and
     wild actions stay below 50."""

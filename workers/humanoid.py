@@ -96,9 +96,20 @@ def _numbers(values):
     return " ".join(f"{value:g}" for value in values)
 
 
-def _geom(shape):
+def _sole(depth):
+    """Contact attributes of a foot whose sole gives way over `depth` m, half of it below the box.
+
+    MuJoCo's impedance goes from 0 to its usual largest value of 0.95 over that depth, so that the ground's force begins
+    at zero; standing, the box is where it is without a sole.
+    """
+    return f'margin="{depth / 2:g}" solimp="0 0.95 {depth:g}" priority="1"' if depth else ""
+
+
+def _geom(shape, sole):
     mass = _lookup(MASSES, shape.body) * shape.share
     contact = _WEAPON_CONTACT if shape.body in ("sword", "shield") else _BODY_CONTACT
+    if shape.body in ("right_foot", "left_foot"):
+        contact = f"{contact} {_sole(sole)}".rstrip()
     place = {
         "sphere": f'pos="{_numbers(shape.a)}" size="{shape.radius:g}"',
         "capsule": f'fromto="{_numbers(shape.a + shape.b)}" size="{shape.radius:g}"',
@@ -119,14 +130,14 @@ def _joint(joint):
     return f'<joint name="{joint.name}" {kind} {limits} damping="{kd}"/>'
 
 
-def _body(index):
+def _body(index, sole):
     body = skeleton.BODIES[index]
     lines = [f'<body name="{body.name}" pos="{_numbers(body.offset)}">']
     if index == 0:
         lines.append('<freejoint name="root"/>')
     lines += [_joint(joint) for joint in skeleton.JOINTS if joint.body == index]
-    lines += [_geom(shape) for shape in SHAPES if shape.body == body.name]
-    lines += [_body(i) for i, child in enumerate(skeleton.BODIES) if child.parent == index]
+    lines += [_geom(shape, sole) for shape in SHAPES if shape.body == body.name]
+    lines += [_body(i, sole) for i, child in enumerate(skeleton.BODIES) if child.parent == index]
     return "\n".join(lines + ["</body>"])
 
 
@@ -155,7 +166,7 @@ def mjcf(physics):
 <size memory="1M"/>
 <worldbody>
 <geom name="floor" type="plane" size="0 0 1" {_FLOOR_CONTACT}/>
-{_body(0)}
+{_body(0, physics.sole)}
 </worldbody>
 <contact>
 {excludes}

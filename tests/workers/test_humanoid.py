@@ -117,3 +117,47 @@ def test_the_figure_stands_for_half_a_second_when_its_controllers_hold_the_pose(
         mujoco.mj_step(model, data)
     assert data.qpos[2] == pytest.approx(qpos[2], abs=0.05)
     assert abs(data.qvel).max() < 2.0
+
+
+def ground_force(physics, height):
+    """N, of the floor on a figure at rest, its feet level and `height` m above it, its PD targets met."""
+    model = build_model(physics)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    feet = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX]
+    data.qpos[2] += height - min(data.geom_xpos[g][2] - model.geom_size[g][2] for g in feet)
+    mujoco.mj_forward(model, data)
+    total, wrench = 0.0, np.zeros(6)
+    for k in range(data.ncon):
+        mujoco.mj_contactForce(model, data, k, wrench)
+        total += wrench[0]
+    return total
+
+
+@pytest.mark.parametrize("sole", (0.01, 0.02))
+def test_the_ground_takes_hold_of_a_sole_little_by_little_and_of_a_hard_foot_at_once(sole):
+    heights = np.linspace(sole / 2 + 1e-4, -sole / 2, 41)
+    force = [ground_force(PhysicsConfig(sole=sole), height) for height in heights]
+    weight = build_model(PhysicsConfig()).body_subtreemass[0] * 9.81
+    assert force[0] == 0.0 and (np.diff(force) >= 0.0).all()
+    assert np.diff(force).max() < 0.4 * weight and force[-1] > weight
+    assert ground_force(PhysicsConfig(), 1e-6) == 0.0
+    assert ground_force(PhysicsConfig(), -1e-6) > 0.5 * weight
+
+
+def test_a_figure_with_soles_stands_where_it_stands_without():
+    def height(sole):
+        model = build_model(PhysicsConfig(sole=sole))
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        data.qpos[2] -= min(
+            data.geom_xpos[g][2] - model.geom_size[g][2]
+            for g in range(model.ngeom)
+            if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX
+        )
+        for _ in range(30):
+            mujoco.mj_step(model, data)
+        return data.qpos[2]
+
+    assert height(0.01) == pytest.approx(height(0.0), abs=0.002)
+    assert height(0.02) == pytest.approx(height(0.0), abs=0.002)
