@@ -83,6 +83,7 @@ def concatenate_chunks(chunks):
         environment=np.concatenate([chunk.environment for chunk in chunks]),
         last_observation=np.concatenate([chunk.last_observation for chunk in chunks]),
         final_observation=np.concatenate([chunk.final_observation for chunk in chunks])[order],
+        final_thresholds=np.concatenate([chunk.final_thresholds for chunk in chunks])[order],
         outcomes=concatenate_outcomes(outcomes),
         version=chunks[0].version,
         **{

@@ -112,6 +112,22 @@ class SBCConfig:
 
 
 @dataclass
+class ArrivalConfig:
+    """Descent of what is left to the target at arrival, through learned physics (`learner/arrival.py`; not in the
+    paper)."""
+
+    weight: float = 0.0
+    """Its gradient is clipped as PPO's is and added to it with this weight. 0, the paper: none, and no physics is
+    learned."""
+    steps: int = 5
+    """K, how many steps before the nearest approach are followed again; episodes with fewer in a chunk are left out."""
+    batch_size: int = 64
+    """Episodes per step of the policy."""
+    hidden: list[int] = field(default_factory=lambda: [512, 512])
+    """Units of the hidden layers of the network that learns physics (SiLU)."""
+
+
+@dataclass
 class LearnerConfig:
     """Everything that shapes an update."""
 
@@ -119,3 +135,4 @@ class LearnerConfig:
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     sbc: SBCConfig = field(default_factory=SBCConfig)
+    arrival: ArrivalConfig = field(default_factory=ArrivalConfig)

@@ -5,13 +5,14 @@ import copy
 import numpy as np
 import torch
 
+from learner.dynamics import Dynamics
 from learner.kfac import KFAC
 from learner.networks import build_networks, snapshot
 from learner.normalizer import Normalizer
 from workers.observation import OBSERVATION_SIZE
 
 # Streams of the learner's random numbers
-SHUFFLE, DEMONSTRATIONS = 0, 1
+SHUFFLE, DEMONSTRATIONS, PHYSICS, ARRIVALS = range(4)
 
 
 class LearnerState:
@@ -30,6 +31,9 @@ class LearnerState:
         self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
+        self.dynamics = None
+        if config.arrival.weight:
+            self.dynamics = Dynamics(config.arrival.hidden, config, torch.Generator().manual_seed(seed), device)
         self.updates = self.skipped = 0
 
     _PARTS = ("policy", "value", "policy_optimizer", "value_optimizer", "observations", "returns")
@@ -50,12 +54,17 @@ class LearnerState:
             self.learning_rate = config.learning_rate
             self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
 
-    def descend(self, name, loss):
-        """One step of the network `policy` or `value` down the gradient of a loss, clipped; its norm before that."""
+    def descend(self, name, loss, added=None):
+        """One step of the network `policy` or `value` down the gradient of a loss, clipped; its norm before that.
+
+        added: tensors to add to the clipped gradient, in the order of the network's parameters.
+        """
         network, optimizer = getattr(self, name), getattr(self, f"{name}_optimizer")
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(network.parameters(), self.config.ppo.max_grad_norm)
+        for parameter, gradient in zip(network.parameters(), added or ()):
+            parameter.grad += gradient
         optimizer.step()
         return norm
 
@@ -78,7 +87,8 @@ class LearnerState:
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint; shares memory with the networks."""
         parts = {name: getattr(self, name).state_dict() for name in self._PARTS}
-        parts["average"] = self.average and self.average.state_dict()
+        for name in ("average", "dynamics"):
+            parts[name] = getattr(self, name) and getattr(self, name).state_dict()
         numbers = {name: getattr(self, name) for name in self._NUMBERS}
         return {**parts, **numbers}
 
@@ -89,6 +99,8 @@ class LearnerState:
             getattr(self, name).load_state_dict(state[name])
         if self.average:
             self.average.load_state_dict(state["average"] or state["policy"])
+        if self.dynamics and state.get("dynamics"):  # not of a learner without
+            self.dynamics.load_state_dict(state["dynamics"])
         for name in self._NUMBERS:
             setattr(self, name, state[name])
 
@@ -99,6 +111,8 @@ class LearnerState:
     def is_finite(self):
         """Whether every parameter and every normalizer's number is."""
         tensors = [*self.policy.parameters(), *self.value.parameters()]
+        if self.dynamics:
+            tensors += self.dynamics.network.parameters()
         for normalizer in (self.observations, self.returns):
             tensors += [normalizer.mean, normalizer.squares]
         return bool(torch.stack([torch.isfinite(tensor).all() for tensor in tensors]).all())

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from learner import ppo
+from learner.arrival import Arrival
 from learner.batch import concatenate_chunks, prepare, typical
 from learner.demonstrator import Demonstrator
 from learner.state import SHUFFLE
@@ -27,7 +28,8 @@ def update(state, chunks):
     config, chunk = state.config, concatenate_chunks(chunks)
     batch = prepare(state, chunk)
     demonstrator = Demonstrator(state, chunk, config.sbc.batch_size or -(-len(batch.explored) // batch.minibatches))
-    metrics, divergence = _epochs(state, batch, demonstrator)
+    arrival = Arrival(state, chunk)
+    metrics, divergence = _epochs(state, batch, demonstrator, arrival)
     metrics["policy/learning_rate"] = state.learning_rate
     metrics["policy/sigma"] = typical(batch.sigma[batch.explored]) * state.config.action.scale
     metrics["value/error"] = batch.value_error
@@ -51,7 +53,7 @@ def update(state, chunks):
     return state, metrics
 
 
-def _epochs(state, batch, demonstrator):
+def _epochs(state, batch, demonstrator, arrival):
     """All steps of an update; ({metric: mean over the steps}, mean KL divergence of the last epoch).
 
     Of a single epoch it is that of the second half: what `target_kl` means is then much the same as with two.
@@ -63,7 +65,7 @@ def _epochs(state, batch, demonstrator):
     for _ in range(epochs):
         for rows in np.array_split(shuffle.permutation(batch.explored), batch.minibatches):
             record = demonstrator.step()
-            record.update(_step(state, batch, torch.as_tensor(rows, device=state.device)))
+            record.update(_step(state, batch, arrival, torch.as_tensor(rows, device=state.device)))
             for name, number in record.items():
                 sums[name] = sums.get(name, 0.0) + number
             divergences.append(record["policy/kl"])
@@ -89,17 +91,18 @@ def _ready(state, batch, demonstrator, shuffle):
         state.policy_optimizer.observe(inputs, sigma)
 
 
-def _step(state, batch, rows):
+def _step(state, batch, arrival, rows):
     """One step of the policy and one of the value network on rows (B,) of a batch; the metrics."""
     inputs = batch.inputs[rows]
     loss, divergence, clipped = ppo.policy_loss(
         state.policy(inputs), batch.action[rows], batch.acting_mean[rows], batch.anchor_mean[rows],
         batch.advantage[rows], batch.sigma[rows], state.config.ppo.clip,
     )  # fmt: skip
-    norm = state.descend("policy", loss)
+    added, record = arrival.gradient()
+    norm = state.descend("policy", loss, added)
     value_loss = ((state.value(inputs).squeeze(-1) - batch.wanted_value[rows]) ** 2).mean()
     value_norm = state.descend("value", value_loss)
     return {
         "loss/policy": loss.detach(), "loss/value": value_loss.detach(), "policy/kl": divergence,
-        "policy/clipped": clipped, "gradient/policy": norm, "gradient/value": value_norm,
+        "policy/clipped": clipped, "gradient/policy": norm, "gradient/value": value_norm, **record,
     }  # fmt: skip

@@ -14,7 +14,7 @@ from workers.types import Policy, Thresholds, WorkerState
 # keys that give the numbers their meaning and that older checkpoints do not name: what was so in all of them
 _ONCE = {
     "observation.target": "absolute", "network.value_hidden": None, "policy.independent_from": None,
-    "task.training_steps": None, "ppo.natural_epochs": None, "physics.sole": 0.0,
+    "task.training_steps": None, "ppo.natural_epochs": None, "physics.sole": 0.0, "arrival.weight": 0.0,
 }  # fmt: skip
 
 

@@ -94,6 +94,10 @@ RULES = {
     "sbc.gap_weighting": choice("balanced", "inverse", "uniform"),
     "sbc.batch_size": at_least(0),
     "sbc.reduction": choice("sum", "mean"),
+    "arrival.weight": at_least(0),
+    "arrival.steps": at_least(1),
+    "arrival.batch_size": at_least(1),
+    "arrival.hidden": every(at_least(1)),
     "row": (
         "a name of letters, digits, '_', '-' and '.'",
         lambda v: re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", v) is not None,
@@ -174,6 +178,16 @@ def check_relations(config, source):
         raise InputError(
             f"{source('task.focus')}: task.focus={config.task.focus} needs judging environments, whose tasks stay "
             "uniform and move the curriculum: set policy.judges, e.g. policy.judges=8"
+        )
+    if config.arrival.weight and config.arrival.steps > config.horizon:
+        raise InputError(
+            f"{source('arrival.steps')}: arrival.steps={config.arrival.steps} is more than horizon={config.horizon}, "
+            "so that no chunk holds as many steps of an episode: lower it"
+        )
+    if config.arrival.weight and config.reward.key_body_frame != "common":
+        raise InputError(
+            f"{source('arrival.weight')}: arrival.weight={config.arrival.weight} follows key bodies in the common "
+            "frame only: set reward.key_body_frame=common, or arrival.weight=0"
         )
     if config.reach.heading_floor > config.reach.heading_start:
         raise InputError(

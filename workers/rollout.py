@@ -52,6 +52,7 @@ class Rollout:
         next_pose = np.empty_like(pose)
         everybody, nobody = np.arange(n), np.zeros(0, dtype=np.int64)
         final, ended = [env.observe(new_observations(0), nobody)], [outcomes(env, clock, index, nobody, thresholds)]
+        limits = [np.empty((0, 3))]
         for t in range(horizon):
             env.observe(observation[t])
             mean[t] = network.mean(observation[t])
@@ -71,6 +72,7 @@ class Rollout:
             if len(ids):
                 final.append(env.observe(new_observations(len(ids)), ids))
                 ended.append(outcomes(env, clock, index, ids, thresholds))
+                limits.append(thresholds.of(env.groups(thresholds, ids))[:, :3])
                 env.plan(self._seed, index, episode, ids, focus, thresholds.shares)
                 env.begin(ids)
         chunk = Chunk(
@@ -82,6 +84,7 @@ class Rollout:
             end=end,
             last_observation=env.observe(new_observations(n)),
             final_observation=np.concatenate(final),
+            final_thresholds=np.concatenate(limits),
             pose=pose,
             next_pose=next_pose,
             pd_target=pd_target,

@@ -195,6 +195,7 @@ class Chunk:
     final_observation: (E, 282), the observation that each ended episode ended in, in the order of `outcomes`.
     pose: (T, N, 84), qpos and qvel before the step. next_pose: (T, N, 84), after it, before any reset.
     pd_target: (T, N, 31), joint coordinates that the step's PD controllers aimed at.
+    final_thresholds: (E, 3) float64, d^rp, d^kp and d^q that judged each ended episode's last step, in the same order.
     outcomes: the episodes that ended.
     version: version of the policy that acted.
     log_sigma: (T, N) float64, log standard deviation of its actions; not that of judges.
@@ -211,6 +212,7 @@ class Chunk:
     pose: np.ndarray
     next_pose: np.ndarray
     pd_target: np.ndarray
+    final_thresholds: np.ndarray
     outcomes: Outcomes
     version: int
     log_sigma: np.ndarray

@@ -29,6 +29,7 @@ def configure(make_config):
         carried = {"policy.judges": 2, "policy.average": 0.9, "task.focus": 0.5, "curriculum.scope": "source"}
         carried |= {"policy.sigma_factor": 0.8, "ppo.optimizer": "kfac", "ppo.natural_epochs": 1}
         carried |= {"policy.noise_window": 3, "policy.independent_from": 2}
+        carried |= {"arrival.weight": 0.1, "arrival.steps": 1, "arrival.hidden": [16]}
         time = {"budget.iterations": 5, "task.max_steps": 12, "task.training_steps": 8}
         return make_config({**time, **easy, **carried, **changes})
 

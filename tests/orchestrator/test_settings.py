@@ -175,3 +175,16 @@ def test_suggestions():
     assert find_key("motions.clips.idle.start").name == "motions.clips.NAME.start"
     assert find_key("motions.clips.idle.begin") is None
     assert suggestion("xyzzy", ["alpha", "beta"]) == ""
+
+
+@pytest.mark.parametrize(
+    "values, words",
+    [
+        (["arrival.steps=17", "horizon=16"], "arrival.steps=17 is more than horizon=16.*lower it"),
+        (["reward.key_body_frame=own"], "arrival.weight=0.1 follows.*common frame only.*reward.key_body_frame=common"),
+    ],
+)
+def test_what_the_arrival_gradient_cannot_follow_is_refused(values, words):
+    with pytest.raises(InputError, match=words):
+        build([command_line(["scale=smoke", "arrival.weight=0.1", *values])])
+    build([command_line(["scale=smoke", "arrival.weight=0", *values])])

@@ -1,0 +1,168 @@
+"""What a policy step does to the figure, learned: a network whose derivatives by pose and action are those of physics.
+
+On a flat floor the next pose, seen from this one's heading frame, is a function of p_t and of the joints' PD targets.
+The network gives the change of p_t and of the frame; p_tar, which stands still in the world, follows by geometry.
+"""
+
+import copy
+
+import torch
+from torch import nn
+
+from learner.normalizer import Normalizer
+from motion import skeleton
+from workers.observation import OBSERVATION_SIZE, POSE_SIZE
+
+_JOINTS = skeleton.NUM_JOINTS
+_ROTATIONS = slice(13, 13 + 6 * _JOINTS)  # of p_t: turned x axis, turned z axis of every joint
+_INPUTS = POSE_SIZE + 6 * _JOINTS
+_OUTPUTS = 4 + POSE_SIZE - 1  # displacement 3, turn 1, change of all of p_t but the height
+_RATE = 3e-4
+
+
+class Dynamics:
+    """The network, its optimizer and its scales."""
+
+    def __init__(self, hidden, encoding, generator, device):
+        """hidden: units of the hidden layers. encoding: `EnvConfig`, what observations and actions mean. generator: of
+        torch, for the first weights."""
+        sizes = [_INPUTS, *hidden, _OUTPUTS]
+        layers = []
+        for i, (a, b) in enumerate(zip(sizes, sizes[1:])):
+            layer = nn.Linear(a, b)
+            nn.init.orthogonal_(layer.weight, generator=generator)
+            nn.init.zeros_(layer.bias)
+            layers += [layer, nn.SiLU()] if i < len(sizes) - 2 else [layer]  # smooth: its derivatives are what counts
+        self.network = nn.Sequential(*layers).to(device)
+        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=_RATE, fused=True)
+        self._inputs, self._outputs = Normalizer(_INPUTS, True, device), Normalizer(_OUTPUTS, True, device)
+        self._action = encoding.action
+        self.difference = encoding.observation.target == "difference"
+
+    def state_dict(self):
+        """Plain tensors and numbers for a checkpoint."""
+        return {name: part.state_dict() for name, part in self._parts().items()}
+
+    def load_state_dict(self, state):
+        """The inverse of `state_dict`."""
+        for name, part in self._parts().items():
+            part.load_state_dict(copy.deepcopy(state[name]))
+
+    def _parts(self):
+        return {
+            "network": self.network, "optimizer": self._optimizer, "inputs": self._inputs, "outputs": self._outputs,
+        }  # fmt: skip
+
+    def learn(self, observation, action, following, place, place_after, batches):
+        """One pass over S steps; their mean squared error, in standard deviations.
+
+        observation, following: (S, 282), s_t and the s_t+1 that followed. action: (S, 31). place, place_after: (S, 7)
+        float64, the root's qpos before and after. batches: the steps' numbers, minibatch by minibatch.
+        """
+        pose, _ = self.split(observation)
+        after, _ = self.split(following)
+        with torch.no_grad():
+            inputs = torch.cat([pose, self._aim(observation, action)], dim=1)
+            outputs = torch.cat([moved(place, place_after).to(pose.dtype), after[:, 1:] - pose[:, 1:]], dim=1)
+            self._inputs.update(inputs)
+            self._outputs.update(outputs)
+            inputs, outputs = self._inputs(inputs), self._outputs(outputs)
+        errors = []
+        for rows in batches:
+            loss = ((self.network(inputs[rows]) - outputs[rows]) ** 2).mean()
+            self._optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            self._optimizer.step()
+            errors.append(loss.detach())
+        return torch.stack(errors).mean()
+
+    def step(self, observation, action):
+        """The s_t+1 (B, 282) that actions (B, 31) lead to from s_t (B, 282), differentiable by both."""
+        pose, target = self.split(observation)
+        mean, scale = (x.to(pose.dtype) for x in self._outputs.mean_and_scale())
+        change = self.network(self._inputs(torch.cat([pose, self._aim(observation, action)], dim=1))) / scale + mean
+        displacement, turn = change[:, :3], change[:, 3]
+        after = torch.cat([pose[:, :1] + displacement[:, 2:], pose[:, 1:] + change[:, 4:]], dim=1)
+        return self.join(after, seen_from(target, displacement, turn))
+
+    def split(self, observation):
+        """(p_t (B, 140), p_tar (B, 142)) of s_t (B, 282), p_tar as it is."""
+        pose, target = observation[:, :POSE_SIZE], observation[:, POSE_SIZE:]
+        if self.difference:
+            target = torch.cat([target[:, :3], target[:, 3:] + pose[:, 1:]], dim=1)
+        return pose, target
+
+    def join(self, pose, target):
+        """The inverse of `split`."""
+        if self.difference:
+            target = torch.cat([target[:, :3], target[:, 3:] - pose[:, 1:]], dim=1)
+        return torch.cat([pose, target], dim=1)
+
+    def _aim(self, observation, action):
+        """(B, 78): how far the joints' rotations are from their PD targets', as `action.mode` means them."""
+        pose, target = self.split(observation)
+        joints = pose[:, _ROTATIONS]
+        aimed = rotation(self._action.scale * by_joint(action))
+        if self._action.mode != "absolute":
+            base = joints if self._action.mode == "current" else target[:, 15 : 15 + 6 * _JOINTS]
+            aimed = matrices(base.reshape(-1, _JOINTS, 6)) @ aimed
+        return torch.cat([aimed[..., 0], aimed[..., 2]], dim=-1).reshape(len(action), -1) - joints
+
+
+def by_joint(numbers):
+    """Exponential maps (B, 13, 3) of joint coordinates (B, 31); a hinge turns about y."""
+    padded = torch.cat([numbers, numbers.new_zeros(len(numbers), 1)], dim=1)
+    at = [
+        [start, start + 1, start + 2] if joint.dof == 3 else [-1, start, -1]
+        for joint, start in zip(skeleton.JOINTS, skeleton.JOINT_DOF)
+    ]
+    return padded[:, torch.tensor(at, device=numbers.device)]
+
+
+def rotation(vector):
+    """Rotation matrices (..., 3, 3) of exponential maps (..., 3) (Rodrigues)."""
+    square = (vector * vector).sum(dim=-1)[..., None, None] + 1e-12
+    angle = torch.sqrt(square)
+    x, y, z = vector.unbind(dim=-1)
+    o = torch.zeros_like(x)
+    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).reshape(*vector.shape, 3)
+    one = torch.eye(3, dtype=vector.dtype, device=vector.device)
+    return one + torch.sin(angle) / angle * cross + (1 - torch.cos(angle)) / square * (cross @ cross)
+
+
+def matrices(axes):
+    """Rotation matrices (..., 3, 3) of their x and z axes (..., 6)."""
+    x, z = axes[..., :3], axes[..., 3:]
+    return torch.stack([x, torch.linalg.cross(z, x), z], dim=-1)
+
+
+def moved(place, after):
+    """(B, 4): displacement in the heading frame of `place` and change of heading, of the root's qpos (B, 7)."""
+    before, turned = heading(place), heading(after)
+    shift = after[:, :3] - place[:, :3]
+    turn = torch.remainder(turned - before + torch.pi, 2 * torch.pi) - torch.pi
+    return torch.cat([_about_z(shift[:, None], -before)[:, 0], turn[:, None]], dim=1)
+
+
+def heading(place):
+    """(B,) rad, yaw of the root's x axis, of the root's qpos (B, 7)."""
+    w, x, y, z = place[:, 3:7].unbind(dim=1)
+    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def seen_from(target, displacement, turn):
+    """p_tar (B, 142) seen from a frame that is displaced (B, 3) and turned (B,) from the one that it is seen from."""
+    places = torch.cat([target[:, :3], target[:, 124:]], dim=1).reshape(len(target), -1, 3) - displacement[:, None]
+    places = _about_z(places, -turn)
+    directions = _about_z(target[:, 3:15].reshape(len(target), -1, 3), -turn).reshape(len(target), -1)
+    return torch.cat([places[:, 0], directions, target[:, 15:124], places[:, 1:].reshape(len(target), -1)], dim=1)
+
+
+def _about_z(vectors, angle):
+    """Vectors (B, n, 3) turned by angles (B,) about z."""
+    x, y, z = vectors.unbind(dim=-1)
+    c, s = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
+    return torch.stack([c * x - s * y, s * x + c * y, z], dim=-1)
+
+
+assert OBSERVATION_SIZE == 2 * POSE_SIZE + 2
