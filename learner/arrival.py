@@ -22,10 +22,10 @@ _POWER = 4  # of the norm that stands for the largest of the three deviations
 
 
 class Arrival:
-    """Of one update: trains the dynamics on the chunk, then gives gradients. Nothing if `arrival.weight` is zero."""
+    """Of one update: lets the dynamics learn from the chunk, then gives gradients. None if `arrival.weight` is zero."""
 
     def __init__(self, state, chunk):
-        self._state, self._windows = state, ()
+        self._state, self._windows, self._metrics = state, (), {}
         if not state.config.arrival.weight:
             return
         self._random = state.random(ARRIVALS)
@@ -36,7 +36,7 @@ class Arrival:
             torch.as_tensor(np.ascontiguousarray(array).reshape(horizon * n, -1), device=state.device)
             for array in (chunk.observation, following, chunk.action, chunk.mean)
         )
-        self.error = self._learn(chunk)
+        self._metrics = {"loss/arrival": 0.0, "gradient/arrival": 0.0, "loss/dynamics": self._learn(chunk)}
         self._near(chunk)
 
     def _learn(self, chunk):
@@ -67,11 +67,17 @@ class Arrival:
             begin[i] = t + 1
         self._windows, self._n = np.array(rows, dtype=np.int64), n
         self._limits = torch.as_tensor(np.reshape(limits, (-1, 3)), dtype=torch.float32, device=state.device)
+        # what the network misses of the steps that were observed: with it, values are theirs
+        every = [self._windows + k * n for k in range(steps)]
+        with torch.no_grad():
+            self._missing = [
+                self._following[at] - state.dynamics.step(self._observation[at], self._action[at]) for at in every
+            ]
 
     def gradient(self):
         """(what to add to the policy's gradients, in its parameters' order, or None; metrics) of a few windows."""
         if not len(self._windows):
-            return None, {}
+            return None, self._metrics
         state, config = self._state, self._state.config.arrival
         chosen = self._random.integers(len(self._windows), size=config.batch_size)
         loss = self._loss(chosen)
@@ -79,20 +85,17 @@ class Arrival:
         found = torch.autograd.grad(loss, parameters)
         norm = torch.sqrt(sum((gradient**2).sum() for gradient in found))
         factor = config.weight * (state.config.ppo.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
-        metrics = {"loss/arrival": loss.detach(), "gradient/arrival": norm, "loss/dynamics": self.error}
+        metrics = {**self._metrics, "loss/arrival": loss.detach(), "gradient/arrival": norm}
         return [factor * gradient for gradient in found], metrics
 
     def _loss(self, chosen):
         """Mean over the windows chosen (B,) of the largest deviation at arrival, in thresholds, cut off at NEAR."""
-        state, rows = self._state, torch.as_tensor(self._windows[chosen], device=self._state.device)
+        state, rows = self._state, self._windows[chosen]
         observation = self._observation[rows]
-        for k in range(state.config.arrival.steps):
-            at = rows + k * self._n
-            with torch.no_grad():
-                missing = self._following[at] - state.dynamics.step(self._observation[at], self._action[at])
-                noise = self._action[at] - self._mean[at]
+        for k, missing in enumerate(self._missing):
+            noise = self._action[rows + k * self._n] - self._mean[rows + k * self._n]
             action = state.policy(state.observations(observation)) + noise
-            observation = state.dynamics.step(observation, action) + missing
+            observation = state.dynamics.step(observation, action) + missing[chosen]
         ratio = deviations(*state.dynamics.split(observation)) / self._limits[chosen]
         return ((ratio**_POWER).sum(dim=1) + 1e-6).pow(1 / _POWER).clamp(max=NEAR).mean()
 
