@@ -65,8 +65,10 @@ class Arrival:
                 rows.append(first * n + i)
                 limits.append(limit)
             begin[i] = t + 1
+        if not rows:
+            return
         self._windows, self._n = np.array(rows, dtype=np.int64), n
-        self._limits = torch.as_tensor(np.reshape(limits, (-1, 3)), dtype=torch.float32, device=state.device)
+        self._limits = torch.as_tensor(np.array(limits), dtype=torch.float32, device=state.device)
         # what the network misses of the steps that were observed: with it, values are theirs
         every = [self._windows + k * n for k in range(steps)]
         with torch.no_grad():

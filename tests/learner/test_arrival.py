@@ -158,3 +158,13 @@ def test_a_learner_that_had_none_begins_with_an_untrained_one(lessons, make_conf
     before = fresh.dynamics.network[0].weight.clone()
     fresh.load_state_dict(old)
     assert torch.equal(before, fresh.dynamics.network[0].weight)
+
+
+def test_a_chunk_in_which_nobody_came_near_still_teaches_physics_and_nothing_else(
+    lessons, make_config, monkeypatch, assert_same_bits
+):
+    monkeypatch.setattr(arrival, "NEAR", 0.0)
+    off, _ = update(LearnerState(make_config(), 1), lessons[:1])
+    on, metrics = update(LearnerState(make_config(ON), 1), lessons[:1])
+    assert_same_bits(off.policy.state_dict(), on.policy.state_dict())
+    assert metrics["loss/arrival"] == metrics["gradient/arrival"] == 0.0 and metrics["loss/dynamics"] > 0.0
