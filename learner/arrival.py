@@ -12,7 +12,7 @@ length is enough, a third is too much (lab book, section 14).
 import numpy as np
 import torch
 
-from learner.dynamics import matrices
+from learner.dynamics import KEYS, ROTATIONS, matrices
 from learner.state import ARRIVALS, PHYSICS
 from motion import skeleton
 from workers.types import judging
@@ -104,10 +104,11 @@ class Arrival:
 
 def deviations(pose, target):
     """d^rp, d^kp, d^q (B, 3) (section 3, the key bodies in the frame of p_t) of p_t (B, 140) and p_tar (B, 142)."""
-    keys = (target[:, 124:] - pose[:, 122:]).reshape(len(pose), -1, 3).norm(dim=2).sum(dim=1)
+    alike = target[:, 2:]
+    keys = (alike[:, KEYS] - pose[:, KEYS]).reshape(len(pose), -1, 3).norm(dim=2).sum(dim=1)
     own, wanted = (
-        matrices(part.reshape(len(pose), skeleton.NUM_JOINTS, 6)) for part in (pose[:, 13:91], target[:, 15:93])
-    )
+        matrices(part[:, ROTATIONS].reshape(len(pose), skeleton.NUM_JOINTS, 6)) for part in (pose, alike)
+    )  # fmt: skip
     turn = wanted.transpose(-1, -2) @ own
     axis = torch.stack(
         [turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0], turn[..., 1, 0] - turn[..., 0, 1]], -1

@@ -11,10 +11,11 @@ from torch import nn
 
 from learner.normalizer import Normalizer
 from motion import skeleton
-from workers.observation import OBSERVATION_SIZE, POSE_SIZE
+from workers.observation import POSE_SIZE
 
 _JOINTS = skeleton.NUM_JOINTS
-_ROTATIONS = slice(13, 13 + 6 * _JOINTS)  # of p_t: turned x axis, turned z axis of every joint
+# Numbers of p_t, and of p_tar less its first two: turned x axis and turned z axis of every joint; key bodies
+ROTATIONS, KEYS = slice(13, 13 + 6 * _JOINTS), slice(POSE_SIZE - 18, POSE_SIZE)
 _INPUTS = POSE_SIZE + 6 * _JOINTS
 _OUTPUTS = 4 + POSE_SIZE - 1  # displacement 3, turn 1, change of all of p_t but the height
 _RATE = 3e-4
@@ -101,10 +102,10 @@ class Dynamics:
     def _aim(self, observation, action):
         """(B, 78): how far the joints' rotations are from their PD targets', as `action.mode` means them."""
         pose, target = self.split(observation)
-        joints = pose[:, _ROTATIONS]
+        joints = pose[:, ROTATIONS]
         aimed = rotation(self._action.scale * by_joint(action))
         if self._action.mode != "absolute":
-            base = joints if self._action.mode == "current" else target[:, 15 : 15 + 6 * _JOINTS]
+            base = joints if self._action.mode == "current" else target[:, 2:][:, ROTATIONS]
             aimed = matrices(base.reshape(-1, _JOINTS, 6)) @ aimed
         return torch.cat([aimed[..., 0], aimed[..., 2]], dim=-1).reshape(len(action), -1) - joints
 
@@ -163,6 +164,3 @@ def _about_z(vectors, angle):
     x, y, z = vectors.unbind(dim=-1)
     c, s = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
     return torch.stack([c * x - s * y, s * x + c * y, z], dim=-1)
-
-
-assert OBSERVATION_SIZE == 2 * POSE_SIZE + 2
