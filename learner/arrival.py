@@ -12,7 +12,7 @@ length is enough, a third is too much (lab book, section 14).
 import numpy as np
 import torch
 
-from learner.dynamics import KEYS, ROTATIONS, matrices
+from learner.dynamics import KEYS, ROTATIONS, matrices, moved
 from learner.state import ARRIVALS, PHYSICS
 from motion import skeleton
 from workers.types import judging
@@ -22,7 +22,7 @@ _POWER = 4  # of the norm that stands for the largest of the three deviations
 
 
 class Arrival:
-    """Of one update: lets the dynamics learn from the chunk, then gives gradients. None if `arrival.weight` is zero."""
+    """Of one update: lets the dynamics learn from the chunk, then gives gradients; nothing if `arrival.weight` is 0."""
 
     def __init__(self, state, chunk):
         self._state, self._windows, self._metrics = state, (), {}
@@ -41,13 +41,11 @@ class Arrival:
 
     def _learn(self, chunk):
         state, samples = self._state, chunk.end.size
-        places = (
-            torch.as_tensor(pose[..., :7].reshape(samples, 7).astype(np.float64), device=state.device)
-            for pose in (chunk.pose, chunk.next_pose)
-        )
+        move = moved(chunk.pose, chunk.next_pose).reshape(samples, -1).astype(np.float32)
+        move = torch.as_tensor(move, device=state.device)
         order = state.random(PHYSICS).permutation(samples)
         batches = np.array_split(order, -(-samples // state.config.ppo.minibatch_size))
-        return state.dynamics.learn(self._observation, self._action, self._following, *places, batches)
+        return state.dynamics.learn(self._observation, self._action, self._following, move, batches)
 
     def _near(self, chunk):
         """Find the windows: rows (M,) of their first steps, and the thresholds (M, 3) of their episodes' ends."""

@@ -4,13 +4,12 @@ On a flat floor the next pose, seen from this one's heading frame, is a function
 The network gives the change of p_t and of the frame; p_tar, which stands still in the world, follows by geometry.
 """
 
-import copy
-
+import numpy as np
 import torch
 from torch import nn
 
 from learner.normalizer import Normalizer
-from motion import skeleton
+from motion import rotations, skeleton
 from workers.observation import POSE_SIZE
 
 _JOINTS = skeleton.NUM_JOINTS
@@ -38,7 +37,7 @@ class Dynamics:
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=_RATE, fused=True)
         self._inputs, self._outputs = Normalizer(_INPUTS, True, device), Normalizer(_OUTPUTS, True, device)
         self._action = encoding.action
-        self.difference = encoding.observation.target == "difference"
+        self._difference = encoding.observation.target == "difference"
 
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint."""
@@ -47,24 +46,24 @@ class Dynamics:
     def load_state_dict(self, state):
         """The inverse of `state_dict`."""
         for name, part in self._parts().items():
-            part.load_state_dict(copy.deepcopy(state[name]))
+            part.load_state_dict(state[name])
 
     def _parts(self):
         return {
             "network": self.network, "optimizer": self._optimizer, "inputs": self._inputs, "outputs": self._outputs,
         }  # fmt: skip
 
-    def learn(self, observation, action, following, place, place_after, batches):
+    def learn(self, observation, action, following, move, batches):
         """One pass over S steps; their mean squared error, in standard deviations.
 
-        observation, following: (S, 282), s_t and the s_t+1 that followed. action: (S, 31). place, place_after: (S, 7)
-        float64, the root's qpos before and after. batches: the steps' numbers, minibatch by minibatch.
+        observation, following: (S, 282), s_t and the s_t+1 that followed. action: (S, 31). move: (S, 4), see `moved`.
+        batches: the steps' numbers, minibatch by minibatch.
         """
         pose, _ = self.split(observation)
         after, _ = self.split(following)
         with torch.no_grad():
             inputs = torch.cat([pose, self._aim(observation, action)], dim=1)
-            outputs = torch.cat([moved(place, place_after).to(pose.dtype), after[:, 1:] - pose[:, 1:]], dim=1)
+            outputs = torch.cat([move, after[:, 1:] - pose[:, 1:]], dim=1)
             self._inputs.update(inputs)
             self._outputs.update(outputs)
             inputs, outputs = self._inputs(inputs), self._outputs(outputs)
@@ -89,13 +88,13 @@ class Dynamics:
     def split(self, observation):
         """(p_t (B, 140), p_tar (B, 142)) of s_t (B, 282), p_tar as it is."""
         pose, target = observation[:, :POSE_SIZE], observation[:, POSE_SIZE:]
-        if self.difference:
+        if self._difference:
             target = torch.cat([target[:, :3], target[:, 3:] + pose[:, 1:]], dim=1)
         return pose, target
 
     def join(self, pose, target):
         """The inverse of `split`."""
-        if self.difference:
+        if self._difference:
             target = torch.cat([target[:, :3], target[:, 3:] - pose[:, 1:]], dim=1)
         return torch.cat([pose, target], dim=1)
 
@@ -138,17 +137,12 @@ def matrices(axes):
 
 
 def moved(place, after):
-    """(B, 4): displacement in the heading frame of `place` and change of heading, of the root's qpos (B, 7)."""
-    before, turned = heading(place), heading(after)
-    shift = after[:, :3] - place[:, :3]
-    turn = torch.remainder(turned - before + torch.pi, 2 * torch.pi) - torch.pi
-    return torch.cat([_about_z(shift[:, None], -before)[:, 0], turn[:, None]], dim=1)
-
-
-def heading(place):
-    """(B,) rad, yaw of the root's x axis, of the root's qpos (B, 7)."""
-    w, x, y, z = place[:, 3:7].unbind(dim=1)
-    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    """(..., 4): displacement in the heading frame of `place` and change of heading, of the root's qpos (..., >= 7)."""
+    place, after = (np.asarray(one, dtype=np.float64) for one in (place, after))
+    before = rotations.heading(place[..., 3:7])
+    shift = rotations.rotate(rotations.about_z(-before), after[..., :3] - place[..., :3])
+    turn = np.remainder(rotations.heading(after[..., 3:7]) - before + np.pi, 2 * np.pi) - np.pi
+    return np.concatenate([shift, turn[..., None]], axis=-1)
 
 
 def seen_from(target, displacement, turn):

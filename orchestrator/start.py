@@ -42,7 +42,10 @@ def _read(config):
         raise InputError(f"start.checkpoint={place}: no checkpoint there; give a run's folder or a file in it")
     if source["parts"][0] is None:
         raise InputError(f"start.checkpoint={path}: holds a policy to use, not a learner; give a checkpoint of a run")
-    other = disagreement(source["config"], saved.numbers_of(config), lambda key: key.startswith(_MEANING))
+    meaning = _MEANING
+    if config.arrival.weight and source["parts"][0].get("dynamics"):  # its learned physics goes on, too
+        meaning += ("arrival.hidden",)
+    other = disagreement(source["config"], saved.numbers_of(config), lambda key: key.startswith(meaning))
     if other is not None:
         raise InputError(f"start.checkpoint={path}: of a run with {other}")
     return source, path

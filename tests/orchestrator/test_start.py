@@ -158,3 +158,12 @@ def test_what_cannot_be_begun_with_is_refused_in_one_line(configure, source, tmp
 def test_its_path_does_not_depend_on_the_working_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert build([command_line(["start.checkpoint=runs/a"])]).start.checkpoint == str(tmp_path / "runs/a")
+
+
+def test_learned_physics_of_another_size_is_refused_and_left_out_where_none_is_learned(configure, tmp_path):
+    train(configure(**{"arrival.weight": 0.1, "arrival.steps": 2, "arrival.hidden": [16]}), tmp_path)
+    changed = {"arrival.weight": 0.1, "arrival.steps": 2, "arrival.hidden": [8]}
+    with pytest.raises(InputError, match=r"arrival.hidden=\[16\], asked for arrival.hidden=\[8\]"):
+        start.check(other(configure, tmp_path, **changed))
+    start.check(other(configure, tmp_path, **{**changed, "arrival.hidden": [16]}))
+    start.check(other(configure, tmp_path, **{**changed, "arrival.weight": 0.0}))

@@ -119,13 +119,19 @@ def test_the_figure_stands_for_half_a_second_when_its_controllers_hold_the_pose(
     assert abs(data.qvel).max() < 2.0
 
 
-def ground_force(physics, height):
-    """N, of the floor on a figure at rest, its feet level and `height` m above it, its PD targets met."""
+def standing(physics, height):
+    """(model, data) of a figure at rest, its feet level and `height` m above the floor, its PD targets met."""
     model = build_model(physics)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     feet = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX]
     data.qpos[2] += height - min(data.geom_xpos[g][2] - model.geom_size[g][2] for g in feet)
+    return model, data
+
+
+def ground_force(physics, height):
+    """N, of the floor on a figure `standing` over it."""
+    model, data = standing(physics, height)
     mujoco.mj_forward(model, data)
     total, wrench = 0.0, np.zeros(6)
     for k in range(data.ncon):
@@ -147,14 +153,7 @@ def test_the_ground_takes_hold_of_a_sole_little_by_little_and_of_a_hard_foot_at_
 
 def test_a_figure_with_soles_stands_where_it_stands_without():
     def height(sole):
-        model = build_model(PhysicsConfig(sole=sole))
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        data.qpos[2] -= min(
-            data.geom_xpos[g][2] - model.geom_size[g][2]
-            for g in range(model.ngeom)
-            if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX
-        )
+        model, data = standing(PhysicsConfig(sole=sole), 0.0)
         for _ in range(30):
             mujoco.mj_step(model, data)
         return data.qpos[2]
