@@ -12,7 +12,8 @@ length is enough, a third is too much (lab book, section 14).
 import numpy as np
 import torch
 
-from learner.dynamics import KEYS, ROTATIONS, matrices, moved
+from learner.dynamics import KEYS, ROTATIONS, moved
+from learner.rotations import matrices
 from learner.state import ARRIVALS, PHYSICS
 from motion import skeleton
 from workers.types import judging

@@ -1,6 +1,7 @@
 """What a policy step does to the figure, learned: a network whose derivatives by pose and action are those of physics.
 
 On a flat floor the next pose, seen from this one's heading frame, is a function of p_t and of the joints' PD targets.
+The network is told, besides, where the corners of the soles are and how they move, which p_t leaves it to work out.
 The network gives the change of p_t and of the frame; p_tar, which stands still in the world, follows by geometry.
 """
 
@@ -8,14 +9,17 @@ import numpy as np
 import torch
 from torch import nn
 
+from learner.feet import SIZE as CONTACT_SIZE
+from learner.feet import contact
 from learner.normalizer import Normalizer
+from learner.rotations import about_z, matrices, rotation
 from motion import rotations, skeleton
 from workers.observation import POSE_SIZE
 
 _JOINTS = skeleton.NUM_JOINTS
 # Numbers of p_t, and of p_tar less its first two: turned x axis and turned z axis of every joint; key bodies
 ROTATIONS, KEYS = slice(13, 13 + 6 * _JOINTS), slice(POSE_SIZE - 18, POSE_SIZE)
-_INPUTS = POSE_SIZE + 6 * _JOINTS
+_INPUTS = POSE_SIZE + 6 * _JOINTS + CONTACT_SIZE
 _OUTPUTS = 4 + POSE_SIZE - 1  # displacement 3, turn 1, change of all of p_t but the height
 _RATE = 3e-4
 
@@ -62,7 +66,7 @@ class Dynamics:
         pose, _ = self.split(observation)
         after, _ = self.split(following)
         with torch.no_grad():
-            inputs = torch.cat([pose, self._aim(observation, action)], dim=1)
+            inputs = self._given(observation, action)
             outputs = torch.cat([move, after[:, 1:] - pose[:, 1:]], dim=1)
             self._inputs.update(inputs)
             self._outputs.update(outputs)
@@ -80,7 +84,7 @@ class Dynamics:
         """The s_t+1 (B, 282) that actions (B, 31) lead to from s_t (B, 282), differentiable by both."""
         pose, target = self.split(observation)
         mean, scale = (x.to(pose.dtype) for x in self._outputs.mean_and_scale())
-        change = self.network(self._inputs(torch.cat([pose, self._aim(observation, action)], dim=1))) / scale + mean
+        change = self.network(self._inputs(self._given(observation, action))) / scale + mean
         displacement, turn = change[:, :3], change[:, 3]
         after = torch.cat([pose[:, :1] + displacement[:, 2:], pose[:, 1:] + change[:, 4:]], dim=1)
         return self.join(after, seen_from(target, displacement, turn))
@@ -97,6 +101,10 @@ class Dynamics:
         if self._difference:
             target = torch.cat([target[:, :3], target[:, 3:] - pose[:, 1:]], dim=1)
         return torch.cat([pose, target], dim=1)
+
+    def _given(self, observation, action):
+        pose, _ = self.split(observation)
+        return torch.cat([pose, self._aim(observation, action), contact(pose)], dim=1)
 
     def _aim(self, observation, action):
         """(B, 78): how far the joints' rotations are from their PD targets', as `action.mode` means them."""
@@ -119,23 +127,6 @@ def by_joint(numbers):
     return padded[:, torch.tensor(at, device=numbers.device)]
 
 
-def rotation(vector):
-    """Rotation matrices (..., 3, 3) of exponential maps (..., 3) (Rodrigues)."""
-    square = (vector * vector).sum(dim=-1)[..., None, None] + 1e-12
-    angle = torch.sqrt(square)
-    x, y, z = vector.unbind(dim=-1)
-    o = torch.zeros_like(x)
-    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).reshape(*vector.shape, 3)
-    one = torch.eye(3, dtype=vector.dtype, device=vector.device)
-    return one + torch.sin(angle) / angle * cross + (1 - torch.cos(angle)) / square * (cross @ cross)
-
-
-def matrices(axes):
-    """Rotation matrices (..., 3, 3) of their x and z axes (..., 6)."""
-    x, z = axes[..., :3], axes[..., 3:]
-    return torch.stack([x, torch.linalg.cross(z, x), z], dim=-1)
-
-
 def moved(place, after):
     """(..., 4): displacement in the heading frame of `place` and change of heading, of the root's qpos (..., >= 7)."""
     place, after = (np.asarray(one, dtype=np.float64) for one in (place, after))
@@ -148,13 +139,6 @@ def moved(place, after):
 def seen_from(target, displacement, turn):
     """p_tar (B, 142) seen from a frame that is displaced (B, 3) and turned (B,) from the one that it is seen from."""
     places = torch.cat([target[:, :3], target[:, 124:]], dim=1).reshape(len(target), -1, 3) - displacement[:, None]
-    places = _about_z(places, -turn)
-    directions = _about_z(target[:, 3:15].reshape(len(target), -1, 3), -turn).reshape(len(target), -1)
+    places = about_z(places, -turn)
+    directions = about_z(target[:, 3:15].reshape(len(target), -1, 3), -turn).reshape(len(target), -1)
     return torch.cat([places[:, 0], directions, target[:, 15:124], places[:, 1:].reshape(len(target), -1)], dim=1)
-
-
-def _about_z(vectors, angle):
-    """Vectors (B, n, 3) turned by angles (B,) about z."""
-    x, y, z = vectors.unbind(dim=-1)
-    c, s = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
-    return torch.stack([c * x - s * y, s * x + c * y, z], dim=-1)
