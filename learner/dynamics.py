@@ -14,6 +14,7 @@ from learner.feet import contact
 from learner.normalizer import Normalizer
 from learner.rotations import about_z, matrices, rotation
 from motion import rotations, skeleton
+from motion.errors import InputError
 from workers.observation import POSE_SIZE
 
 _JOINTS = skeleton.NUM_JOINTS
@@ -48,7 +49,13 @@ class Dynamics:
         return {name: part.state_dict() for name, part in self._parts().items()}
 
     def load_state_dict(self, state):
-        """The inverse of `state_dict`."""
+        """The inverse of `state_dict`; InputError if another version, which gave its network other numbers, made it."""
+        given = len(state["inputs"]["mean"])
+        if given != _INPUTS:
+            raise InputError(
+                f"arrival.weight: the checkpoint's learned physics sees {given} numbers, this version's {_INPUTS}; "
+                "go on with the version that made it, or from start.checkpoint with arrival.weight=0"
+            )
         for name, part in self._parts().items():
             part.load_state_dict(state[name])
 

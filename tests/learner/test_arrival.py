@@ -9,6 +9,7 @@ from learner.arrival import Arrival, deviations
 from learner.dynamics import Dynamics, moved
 from learner.state import LearnerState
 from learner.update import update
+from motion.errors import InputError
 from workers.reward import KP, RP, Q
 
 ON = {"arrival.weight": 0.1, "arrival.steps": 2, "arrival.hidden": [32], "arrival.batch_size": 8}
@@ -160,6 +161,13 @@ def test_a_learner_that_had_none_begins_with_an_untrained_one(lessons, make_conf
     before = fresh.dynamics.network[0].weight.clone()
     fresh.load_state_dict(old)
     assert torch.equal(before, fresh.dynamics.network[0].weight)
+
+
+def test_physics_of_a_version_that_saw_other_numbers_is_refused_in_one_line(lessons, make_config):
+    saved = LearnerState(make_config(ON), 1).state_dict()
+    saved["dynamics"]["inputs"]["mean"] = torch.zeros(218)
+    with pytest.raises(InputError, match="sees 218 numbers, this version's 282.*arrival.weight=0"):
+        LearnerState(make_config(ON), 1).load_state_dict(saved)
 
 
 def test_a_chunk_in_which_nobody_came_near_still_teaches_physics_and_nothing_else(
