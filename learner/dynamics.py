@@ -11,6 +11,7 @@ from torch import nn
 
 from learner.feet import SIZE as CONTACT_SIZE
 from learner.feet import contact
+from learner.networks import build_mlp
 from learner.normalizer import Normalizer
 from learner.rotations import about_z, matrices, rotation
 from motion import rotations, skeleton
@@ -31,14 +32,9 @@ class Dynamics:
     def __init__(self, hidden, encoding, generator, device):
         """hidden: units of the hidden layers. encoding: `EnvConfig`, what observations and actions mean. generator: of
         torch, for the first weights."""
-        sizes = [_INPUTS, *hidden, _OUTPUTS]
-        layers = []
-        for i, (a, b) in enumerate(zip(sizes, sizes[1:])):
-            layer = nn.Linear(a, b)
-            nn.init.orthogonal_(layer.weight, generator=generator)
-            nn.init.zeros_(layer.bias)
-            layers += [layer, nn.SiLU()] if i < len(sizes) - 2 else [layer]  # smooth: its derivatives are what counts
-        self.network = nn.Sequential(*layers).to(device)
+        # smooth: its derivatives are what counts
+        network = build_mlp([_INPUTS, *hidden, _OUTPUTS], generator, 1.0, hidden_gain=1.0, activation=nn.SiLU)
+        self.network = network.to(device)
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=_RATE, fused=True)
         self._inputs, self._outputs = Normalizer(_INPUTS, True, device), Normalizer(_OUTPUTS, True, device)
         self._action = encoding.action

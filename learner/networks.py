@@ -11,24 +11,24 @@ from workers.observation import OBSERVATION_SIZE
 from workers.types import Policy
 
 
-def build_mlp(outputs, hidden, output_scale, generator):
-    """An MLP from 282 inputs to `outputs`, ReLU between; orthogonal weights drawn from `generator`, zero biases."""
-    sizes = [OBSERVATION_SIZE, *hidden, outputs]
+def build_mlp(sizes, generator, output_gain, hidden_gain=2.0**0.5, activation=nn.ReLU):
+    """An MLP of `sizes`, inputs to outputs, `activation` between; zero biases, weights orthogonal times their gain, drawn
+    from `generator`."""
     layers = []
     for i, (a, b) in enumerate(zip(sizes, sizes[1:])):
         layer = nn.Linear(a, b)
         last = i == len(sizes) - 2
-        nn.init.orthogonal_(layer.weight, gain=output_scale if last else 2.0**0.5, generator=generator)
+        nn.init.orthogonal_(layer.weight, gain=output_gain if last else hidden_gain, generator=generator)
         nn.init.zeros_(layer.bias)
-        layers += [layer] if last else [layer, nn.ReLU()]
+        layers += [layer] if last else [layer, activation()]
     return nn.Sequential(*layers)
 
 
 def build_networks(config, seed, device):
     """(policy, value) of a `NetworkConfig`, initialised as a function of the run's seed."""
     generator = torch.Generator().manual_seed(seed)
-    policy = build_mlp(NUM_DOF, config.hidden, config.output_scale, generator)
-    value = build_mlp(1, config.value_hidden or config.hidden, 1.0, generator)
+    policy = build_mlp([OBSERVATION_SIZE, *config.hidden, NUM_DOF], generator, config.output_scale)
+    value = build_mlp([OBSERVATION_SIZE, *(config.value_hidden or config.hidden), 1], generator, 1.0)
     return policy.to(device), value.to(device)
 
 
