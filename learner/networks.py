@@ -12,7 +12,7 @@ from workers.types import Policy
 
 
 def build_mlp(sizes, generator, output_gain, hidden_gain=2.0**0.5, activation=nn.ReLU):
-    """An MLP of `sizes`, inputs to outputs, `activation` between; zero biases, weights orthogonal times their gain, drawn
+    """An MLP of `sizes`, inputs to outputs, `activation` between; zero biases, orthogonal weights times their gain, drawn
     from `generator`."""
     layers = []
     for i, (a, b) in enumerate(zip(sizes, sizes[1:])):
