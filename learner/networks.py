@@ -12,8 +12,10 @@ from workers.types import Policy
 
 
 def build_mlp(sizes, generator, output_gain, hidden_gain=2.0**0.5, activation=nn.ReLU):
-    """An MLP of `sizes`, inputs to outputs, `activation` between; zero biases, orthogonal weights times their gain, drawn
-    from `generator`."""
+    """An MLP of `sizes`, inputs to outputs, `activation` between.
+
+    Zero biases; orthogonal weights, drawn from `generator`, times the gain of hidden layers or of the output.
+    """
     layers = []
     for i, (a, b) in enumerate(zip(sizes, sizes[1:])):
         layer = nn.Linear(a, b)
