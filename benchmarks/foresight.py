@@ -18,7 +18,6 @@ import numpy as np
 import torch
 
 from benchmarks.limits import NEVER, opened
-from learner.dynamics import KEYS, ROTATIONS
 from learner.state import LearnerState
 from orchestrator import saved
 from orchestrator.tasks import TaskGrid
@@ -26,14 +25,15 @@ from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
 from workers.kinematics import NUM_DOF
 from workers.library import build_library
+from workers.observation import JOINT_AXES, KEY_PLACES
 from workers.reward import KP, RP, Q
 
 STEPS = 16  # of an episode that are played
 # of p_tar, which has the root's place (3) where p_t has its height
 PARTS = {
     "root": slice(0, 3),
-    "keys": slice(KEYS.start + 2, KEYS.stop + 2),
-    "joints": slice(ROTATIONS.start + 2, ROTATIONS.stop + 2),
+    "keys": slice(KEY_PLACES.start + 2, KEY_PLACES.stop + 2),
+    "joints": slice(JOINT_AXES.start + 2, JOINT_AXES.stop + 2),
 }
 
 

@@ -12,10 +12,11 @@ length is enough, a third is too much (lab book, section 14).
 import numpy as np
 import torch
 
-from learner.dynamics import KEYS, ROTATIONS, moved
+from learner.dynamics import moved
 from learner.rotations import matrices
 from learner.state import ARRIVALS, PHYSICS
 from motion import skeleton
+from workers.observation import JOINT_AXES, KEY_PLACES
 from workers.types import judging
 
 NEAR = 4.0  # thresholds; who came no nearer is left to PPO
@@ -104,9 +105,9 @@ class Arrival:
 def deviations(pose, target):
     """d^rp, d^kp, d^q (B, 3) (section 3, the key bodies in the frame of p_t) of p_t (B, 140) and p_tar (B, 142)."""
     alike = target[:, 2:]
-    keys = (alike[:, KEYS] - pose[:, KEYS]).reshape(len(pose), -1, 3).norm(dim=2).sum(dim=1)
+    keys = (alike[:, KEY_PLACES] - pose[:, KEY_PLACES]).reshape(len(pose), -1, 3).norm(dim=2).sum(dim=1)
     own, wanted = (
-        matrices(part[:, ROTATIONS].reshape(len(pose), skeleton.NUM_JOINTS, 6)) for part in (pose, alike)
+        matrices(part[:, JOINT_AXES].reshape(len(pose), skeleton.NUM_JOINTS, 6)) for part in (pose, alike)
     )  # fmt: skip
     turn = wanted.transpose(-1, -2) @ own
     axis = torch.stack(

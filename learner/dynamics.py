@@ -16,11 +16,9 @@ from learner.normalizer import Normalizer
 from learner.rotations import about_z, matrices, rotation
 from motion import rotations, skeleton
 from motion.errors import InputError
-from workers.observation import POSE_SIZE
+from workers.observation import JOINT_AXES, POSE_SIZE
 
 _JOINTS = skeleton.NUM_JOINTS
-# Numbers of p_t, and of p_tar less its first two: turned x axis and turned z axis of every joint; key bodies
-ROTATIONS, KEYS = slice(13, 13 + 6 * _JOINTS), slice(POSE_SIZE - 18, POSE_SIZE)
 _INPUTS = POSE_SIZE + 6 * _JOINTS + CONTACT_SIZE
 _OUTPUTS = 4 + POSE_SIZE - 1  # displacement 3, turn 1, change of all of p_t but the height
 _RATE = 3e-4
@@ -112,10 +110,10 @@ class Dynamics:
     def _aim(self, observation, action):
         """(B, 78): how far the joints' rotations are from their PD targets', as `action.mode` means them."""
         pose, target = self.split(observation)
-        joints = pose[:, ROTATIONS]
+        joints = pose[:, JOINT_AXES]
         aimed = rotation(self._action.scale * by_joint(action))
         if self._action.mode != "absolute":
-            base = joints if self._action.mode == "current" else target[:, 2:][:, ROTATIONS]
+            base = joints if self._action.mode == "current" else target[:, 2:][:, JOINT_AXES]
             aimed = matrices(base.reshape(-1, _JOINTS, 6)) @ aimed
         return torch.cat([aimed[..., 0], aimed[..., 2]], dim=-1).reshape(len(action), -1) - joints
 

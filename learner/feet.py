@@ -5,6 +5,7 @@ import torch
 from learner.rotations import matrices
 from motion import skeleton
 from workers.humanoid import SHAPES
+from workers.observation import JOINT_AXES, JOINT_RATES, ROOT_AXES, ROOT_SPIN, ROOT_VELOCITY
 
 SIZE = 64
 _SIDES = ("right", "left")
@@ -17,7 +18,6 @@ _BOX = next(shape for shape in SHAPES if shape.body == "right_foot")  # the left
 _CORNERS = [
     [_BOX.a[0] + x * _BOX.b[0], _BOX.a[1] + y * _BOX.b[1], _BOX.a[2] - _BOX.b[2]] for x in (-1, 1) for y in (-1, 1)
 ]
-_ROTATIONS, _RATES = 13, 13 + 6 * skeleton.NUM_JOINTS  # where p_t has them
 _HIGH = 0.3  # m, above which the height of a corner says nothing
 _SOFT = 0.01  # m, over which a corner counts as touching little by little, about a sole's depth
 
@@ -35,14 +35,14 @@ def corners(pose):
     """Heights (B, 8) and velocities (B, 8, 3), in the heading frame, of the corners of the right and the left sole."""
     count = len(pose)
     # both legs at once: (B, 2, ...)
-    rotation = matrices(pose[:, 4:10])[:, None].expand(-1, 2, -1, -1)
-    spin, velocity = pose[:, 10:13][:, None].expand(-1, 2, -1), pose[:, 1:4][:, None].expand(-1, 2, -1)
+    rotation = matrices(pose[:, ROOT_AXES])[:, None].expand(-1, 2, -1, -1)
+    spin, velocity = (pose[:, part][:, None].expand(-1, 2, -1) for part in (ROOT_SPIN, ROOT_VELOCITY))
+    axes = pose[:, JOINT_AXES].reshape(count, -1, 6)
     place = torch.zeros_like(velocity)
     for joints, offsets in zip(_LEGS, _OFFSETS):
         arm = _turn(rotation, pose.new_tensor(offsets).expand(count, -1, -1))
         place, velocity = place + arm, velocity + torch.linalg.cross(spin, arm)
-        own = torch.stack([pose[:, _ROTATIONS + 6 * joint :][:, :6] for joint in joints], dim=1)
-        rotation = rotation @ matrices(own)
+        rotation = rotation @ matrices(axes[:, joints])
         rate = torch.stack([_rate(pose, joint) for joint in joints], dim=1)
         spin = spin + _turn(rotation, rate)  # rates are those of the child's frame
     arm = torch.einsum("bsij,kj->bski", rotation, pose.new_tensor(_CORNERS))
@@ -57,7 +57,7 @@ def _turn(rotation, vector):
 
 def _rate(pose, joint):
     """Angular velocity (B, 3) of a joint; a hinge turns about y."""
-    start = _RATES + int(skeleton.JOINT_DOF[joint])
+    start = JOINT_RATES.start + int(skeleton.JOINT_DOF[joint])
     if skeleton.JOINTS[joint].dof == 3:
         return pose[:, start : start + 3]
     return torch.nn.functional.pad(pose[:, start : start + 1], (1, 1))

@@ -22,6 +22,11 @@ POSE_SIZE = 140
 TARGET_SIZE = 142
 OBSERVATION_SIZE = POSE_SIZE + TARGET_SIZE
 _ALIKE = POSE_SIZE - 1  # p_t and p_tar end with as many numbers of the same meaning
+# where p_t has them; p_tar has all but the height two places later
+ROOT_VELOCITY, ROOT_AXES, ROOT_SPIN = slice(1, 4), slice(4, 10), slice(10, 13)
+JOINT_AXES = slice(13, 13 + 6 * NUM_JOINTS)
+JOINT_RATES = slice(JOINT_AXES.stop, JOINT_AXES.stop + NUM_DOF)
+KEY_PLACES = slice(JOINT_RATES.stop, POSE_SIZE)
 
 _KEY_BODIES = skeleton.KEY_BODIES
 _NUM_KEYS = len(_KEY_BODIES)
