@@ -10,15 +10,15 @@ what the simulator and the network say they changed at that step: of the root's 
 rotations, all less the target's. 1: the descent's gradient is that of physics; 0: it is noise.
 """
 
-import argparse
 import json
 import math
 
 import numpy as np
 import torch
 
-from benchmarks.limits import NEVER, opened
+from benchmarks.limits import NEVER, command_line, opened
 from learner.state import LearnerState
+from motion.errors import InputError
 from orchestrator import saved
 from orchestrator.tasks import TaskGrid
 from workers.environment import Environment, new_observations
@@ -39,24 +39,19 @@ PARTS = {
 
 def main():
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", help="a run's folder")
-    parser.add_argument("--tasks", type=int, default=30)
-    parser.add_argument("--pushes", type=int, default=255, help="of every task, each at a step drawn by chance")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="print one last line with every figure")
-    parser.add_argument("overrides", nargs="*", help="key=value")
-    options = parser.parse_intermixed_args()
+    parser, options = command_line(
+        __doc__, tasks=(30, 1, None), pushes=(255, 1, "of every task, each at a step drawn by chance")
+    )  # fmt: skip
     torch.set_num_threads(1)
-    for name in ("tasks", "pushes"):
-        if getattr(options, name) < 1:
-            parser.error(f"--{name}: must be at least 1")
     config, _, machine = opened(parser, options)
     content, _ = saved.load_latest(options.run, config)
     if not (config.arrival.weight and content["parts"][0].get("dynamics")):
         parser.error(f"{options.run}: its learner has no learned physics; train with arrival.weight=0.05")
     state = LearnerState(config, config.seed)
-    state.load_state_dict(content["parts"][0])
+    try:
+        state.load_state_dict(content["parts"][0])
+    except InputError as error:  # physics that another version learned
+        parser.error(str(error))
     policy, cuts = content["policies"][-1], content["parts"][1].tightenings
     found = measure(config, state, policy, cuts, build_library(machine), options.tasks, options.pushes, options.seed)
     print("  k  pushes      mm   root   keys  joints")

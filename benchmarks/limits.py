@@ -78,19 +78,13 @@ def main():
 
 def prepare(description):
     """(Search, [(label, task (4,))] drawn from the grid, random numbers for the rest, options) of the command line."""
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", help="a run's folder")
-    parser.add_argument("--tasks", type=int, default=12)
-    parser.add_argument("--rounds", type=int, default=40, help="at most, per task")
-    parser.add_argument("--simulations", type=int, default=384, help="side by side")
-    parser.add_argument("--steps", type=int, default=26, help="policy steps that a motion may take")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="print one last line with every figure")
-    parser.add_argument("overrides", nargs="*", help="key=value")
-    options = parser.parse_intermixed_args()
-    for name, least in (("tasks", 1), ("rounds", 0), ("simulations", 2), ("steps", 1)):
-        if getattr(options, name) < least:
-            parser.error(f"--{name}: must be at least {least}")
+    parser, options = command_line(
+        description,
+        tasks=(12, 1, None),
+        rounds=(40, 0, "at most, per task"),
+        simulations=(384, 2, "side by side"),
+        steps=(26, 1, "policy steps that a motion may take"),
+    )
     config, policy, machine = opened(parser, options)
     library, rng = build_library(machine), np.random.default_rng(options.seed)
     grid, drawn = TaskGrid(library, replace(config.evaluation, max_tasks=0)), []
@@ -100,6 +94,22 @@ def prepare(description):
         source, target = machine.states[int(source)].name, machine.states[int(target)].name
         drawn.append((f"{source} at {moment:.2f} s to {target}, {math.degrees(turn):.0f} degrees", task))
     return Search(config, library, policy, options.simulations, options.steps), drawn, rng, options
+
+
+def command_line(description, **counts):
+    """(parser, options) of what is measured of a run; counts: {option: (default, least, help)}."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", help="a run's folder")
+    for name, (default, _, meaning) in counts.items():
+        parser.add_argument(f"--{name}", type=int, default=default, help=meaning)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true", help="print one last line with every figure")
+    parser.add_argument("overrides", nargs="*", help="key=value")
+    options = parser.parse_intermixed_args()
+    for name, (_, least, _) in counts.items():
+        if getattr(options, name) < least:
+            parser.error(f"--{name}: must be at least {least}")
+    return parser, options
 
 
 def opened(parser, options):

@@ -10,14 +10,13 @@ figure farther for their size: nobody can learn to foresee that, nor correct it 
 `physics.sole=0.02` as key=value plays the same policy on other feet.
 """
 
-import argparse
 import json
 import math
 from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.limits import NEVER, opened
+from benchmarks.limits import NEVER, command_line, opened
 from orchestrator.tasks import TaskGrid
 from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
@@ -31,17 +30,9 @@ BEFORE = 4  # steps that come before it
 
 def main():
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", help="a run's folder")
-    parser.add_argument("--tasks", type=int, default=512)
-    parser.add_argument("--steps", type=int, default=10, help="policy steps from the push on")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="print one last line with every figure")
-    parser.add_argument("overrides", nargs="*", help="key=value")
-    options = parser.parse_intermixed_args()
-    for name in ("tasks", "steps"):
-        if getattr(options, name) < 1:
-            parser.error(f"--{name}: must be at least 1")
+    parser, options = command_line(
+        __doc__, tasks=(512, 1, None), steps=(10, 1, "policy steps from the push on")
+    )  # fmt: skip
     config, policy, machine = opened(parser, options)
     found = measure(config, policy, build_library(machine), options.tasks, options.steps, options.seed)
     print(f"{found['tasks']} tasks that stand throughout; mm per size of the push, after 1, 2, ... steps")
