@@ -99,6 +99,8 @@ def run_segue(arguments, folder, budget):
 
     run._Loop._finish = finish
     asked, begun = [], time.monotonic()
+    # a shell starts what it runs in the background with the signal ignored: the run would never end
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         train.main(arguments)
     except KeyboardInterrupt:
