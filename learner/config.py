@@ -70,10 +70,12 @@ class PPOConfig:
     target_kl: float | None = None
     """Adapt the learning rate towards this KL divergence per update; none: keep it fixed."""
     final_kl: float | None = None
-    """`target_kl` goes to this in a straight line over the first `kl_updates` updates: first far steps, then small ones
-    that average the gradient's noise. None: it stays."""
+    """`target_kl` goes to this over the first `kl_updates` updates: first far steps, then small ones that average the
+    gradient's noise. None: it stays."""
     kl_updates: int = 0
     """Updates until `final_kl` is reached."""
+    kl_schedule: str = "linear"
+    """How it goes there: `linear`, in a straight line, or `geometric`, by the same factor at every update."""
     max_grad_norm: float = 1.0
     """Gradients are clipped to this norm."""
     max_skipped: int = 5

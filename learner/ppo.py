@@ -47,6 +47,8 @@ def target_divergence(config, updates):
     if config.target_kl is None or config.final_kl is None:
         return config.target_kl
     done = min(updates / config.kl_updates, 1.0) if config.kl_updates else 1.0
+    if config.kl_schedule == "geometric":
+        return config.target_kl * (config.final_kl / config.target_kl) ** done
     return config.target_kl + done * (config.final_kl - config.target_kl)
 
 

@@ -87,6 +87,7 @@ RULES = {
     "ppo.target_kl": above(0),
     "ppo.final_kl": above(0),
     "ppo.kl_updates": at_least(0),
+    "ppo.kl_schedule": choice("linear", "geometric"),
     "ppo.max_grad_norm": above(0),
     "ppo.max_skipped": at_least(1),
     "ppo.timeout": choice("terminal", "bootstrap"),

@@ -192,3 +192,10 @@ def test_the_divergence_aimed_at_goes_to_its_final_value_in_a_straight_line_and_
     config = PPOConfig(target_kl=0.2, final_kl=0.1, kl_updates=50)
     assert [ppo.target_divergence(config, k) for k in (0, 25, 50, 90)] == pytest.approx([0.2, 0.15, 0.1, 0.1])
     assert ppo.target_divergence(PPOConfig(target_kl=0.2, final_kl=0.1), 0) == 0.1
+
+
+def test_a_geometric_schedule_changes_the_divergence_aimed_at_by_one_factor_per_update():
+    config = PPOConfig(target_kl=0.6, final_kl=0.03, kl_updates=50, kl_schedule="geometric")
+    aims = [ppo.target_divergence(config, k) for k in range(60)]
+    assert aims[0] == pytest.approx(0.6) and aims[50:] == pytest.approx([0.03] * 10)
+    assert [one / other for one, other in zip(aims[1:51], aims)] == pytest.approx([0.05 ** (1 / 50)] * 50)
