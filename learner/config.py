@@ -65,6 +65,8 @@ class PPOConfig:
     """kfac: step size when it begins."""
     natural_epochs: int | None = None
     """kfac: times each transition is used per update. None: `epochs`."""
+    natural_clip: float | None = None
+    """kfac: clip range of the probability ratio. None: `clip`."""
     learning_rate: float = 3e-4
     """Adam's step size: of the value network, and at the start of the policy."""
     target_kl: float | None = None
@@ -95,6 +97,10 @@ class PPOConfig:
     def passes(self, method):
         """How often an update with a `method` uses each transition."""
         return self.natural_epochs if method == "kfac" and self.natural_epochs is not None else self.epochs
+
+    def clip_range(self, method):
+        """The clip range of an update with a `method`."""
+        return self.natural_clip if method == "kfac" and self.natural_clip is not None else self.clip
 
 
 @dataclass

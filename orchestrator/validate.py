@@ -78,6 +78,7 @@ RULES = {
     "ppo.clip": above(0),
     "ppo.epochs": at_least(1),
     "ppo.natural_epochs": at_least(1),
+    "ppo.natural_clip": above(0),
     "ppo.minibatch_size": at_least(1),
     "ppo.optimizer": choice("adam", "kfac"),
     "ppo.kfac_after": at_least(0),
