@@ -43,12 +43,12 @@ def train(tmp_path):
 def test_a_policy_that_learns_tightens_the_thresholds_three_times(train):
     """It learns to turn, which no target pose by itself makes the figure do."""
     cuts, rates = train()
-    assert cuts >= 3 and mean(rates[-8:]) > 0.85  # 0.88 to 1.00 with five seeds
+    assert cuts >= 3 and mean(rates[-8:]) > 0.85  # four, and 0.97 to 1.00, with five seeds
 
 
 @pytest.mark.slow
 def test_a_frozen_network_does_not(train):
     """The first thresholds can be met by standing there for most turns, the next ones cannot."""
     cuts, rates = train("ppo.learning_rate=1e-12", "ppo.target_kl=null", "ppo.epochs=1", "sbc.enabled=false")
-    # below what tightens; 0.71 to 0.79 with five seeds, over 8 iterations 0.64 to 0.80
+    # below what tightens; 0.73 to 0.79 with five seeds, over 8 iterations 0.67 to 0.80
     assert cuts <= 1 and mean(rates[-24:]) < 0.88
