@@ -44,11 +44,20 @@ def policy_loss(mean, action, acting_mean, anchor_mean, advantage, sigma, clip):
 
 def target_divergence(config, updates):
     """The KL divergence that a `PPOConfig` aims at after so many updates; None: the learning rate is fixed."""
-    if config.target_kl is None or config.final_kl is None:
+    if config.target_kl is None:
+        return None
+    if updates < config.first_updates:
+        return config.first_kl * (_line(config, config.first_updates) / config.first_kl) ** (
+            updates / config.first_updates
+        )
+    return _line(config, updates)
+
+
+def _line(config, updates):
+    """From `target_kl` to `final_kl`."""
+    if config.final_kl is None:
         return config.target_kl
     done = min(updates / config.kl_updates, 1.0) if config.kl_updates else 1.0
-    if config.kl_schedule == "geometric":
-        return config.target_kl * (config.final_kl / config.target_kl) ** done
     return config.target_kl + done * (config.final_kl - config.target_kl)
 
 

@@ -96,7 +96,7 @@ def _step(state, batch, arrival, rows):
     inputs = batch.inputs[rows]
     loss, divergence, clipped = ppo.policy_loss(
         state.policy(inputs), batch.action[rows], batch.acting_mean[rows], batch.anchor_mean[rows],
-        batch.advantage[rows], batch.sigma[rows], state.config.ppo.clip_range(state.method),
+        batch.advantage[rows], batch.sigma[rows], state.config.ppo.clip_range(state.updates),
     )  # fmt: skip
     added, record = arrival.gradient()
     norm = state.descend("policy", loss, added)

@@ -78,7 +78,6 @@ RULES = {
     "ppo.clip": above(0),
     "ppo.epochs": at_least(1),
     "ppo.natural_epochs": at_least(1),
-    "ppo.natural_clip": above(0),
     "ppo.minibatch_size": at_least(1),
     "ppo.optimizer": choice("adam", "kfac"),
     "ppo.kfac_after": at_least(0),
@@ -88,7 +87,9 @@ RULES = {
     "ppo.target_kl": above(0),
     "ppo.final_kl": above(0),
     "ppo.kl_updates": at_least(0),
-    "ppo.kl_schedule": choice("linear", "geometric"),
+    "ppo.first_updates": at_least(0),
+    "ppo.first_kl": above(0),
+    "ppo.first_clip": above(0),
     "ppo.max_grad_norm": above(0),
     "ppo.max_skipped": at_least(1),
     "ppo.timeout": choice("terminal", "bootstrap"),
@@ -175,6 +176,11 @@ def check_relations(config, source):
         raise InputError(
             f"{source('start.tightenings')}: start.tightenings={config.start.tightenings} is for a run that "
             "begins with another's learner: set start.checkpoint, too"
+        )
+    if config.ppo.first_updates and config.start.checkpoint is not None:
+        raise InputError(
+            f"{source('ppo.first_updates')}: ppo.first_updates={config.ppo.first_updates} is for fresh networks; such "
+            "long steps would undo the learner of start.checkpoint: set ppo.first_updates=0"
         )
     if config.task.focus and not config.policy.judges:
         raise InputError(

@@ -12,7 +12,7 @@ WARM_UP = 2  # iterations at the start that no time or rate counts: compilation,
 PLAIN = {
     "sbc.enabled": False, "policy.noise_window": 1, "policy.judges": 0, "policy.average": 0.0,
     "task.focus": 0.0, "ppo.target_kl": None, "ppo.final_kl": None, "ppo.kl_updates": 0, "policy.sigma_factor": 1.0,
-    "ppo.optimizer": "adam", "ppo.epochs": 4, "ppo.clip": 0.5, "observation.target": "absolute",
+    "ppo.optimizer": "adam", "ppo.epochs": 4, "ppo.first_updates": 0, "observation.target": "absolute",
 }  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """PPO's loss against slow code, and how an update spends its transitions."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -194,8 +195,12 @@ def test_the_divergence_aimed_at_goes_to_its_final_value_in_a_straight_line_and_
     assert ppo.target_divergence(PPOConfig(target_kl=0.2, final_kl=0.1), 0) == 0.1
 
 
-def test_a_geometric_schedule_changes_the_divergence_aimed_at_by_one_factor_per_update():
-    config = PPOConfig(target_kl=0.6, final_kl=0.03, kl_updates=50, kl_schedule="geometric")
+@pytest.mark.parametrize("final", [None, 0.1])
+def test_the_first_updates_aim_at_larger_divergences_that_shrink_by_one_factor_to_meet_the_line(final):
+    plain = PPOConfig(target_kl=0.2, final_kl=final, kl_updates=50)
+    config = replace(plain, first_updates=20, first_kl=0.8)
     aims = [ppo.target_divergence(config, k) for k in range(60)]
-    assert aims[0] == pytest.approx(0.6) and aims[50:] == pytest.approx([0.03] * 10)
-    assert [one / other for one, other in zip(aims[1:51], aims)] == pytest.approx([0.05 ** (1 / 50)] * 50)
+    assert aims[0] == 0.8 and aims[20:] == [ppo.target_divergence(plain, k) for k in range(20, 60)]
+    factors = [one / other for one, other in zip(aims[1:21], aims)]
+    assert factors == pytest.approx([factors[0]] * 20) and factors[0] < 1
+    assert ppo.target_divergence(PPOConfig(first_updates=20, first_kl=0.8), 3) is None

@@ -191,17 +191,17 @@ def test_kfac_has_epochs_of_its_own_when_asked_and_adam_has_none_of_them(lessons
     assert_same_bits([content(own), metrics], [content(one), same])
 
 
-def test_kfac_has_a_clip_range_of_its_own_when_asked_and_adam_has_none_of_it(lessons, make_config, assert_same_bits):
-    kfac = {"ppo.optimizer": "kfac", "ppo.kfac_after": 1, "ppo.natural_clip": 0.05, "ppo.clip": 0.4, "ppo.epochs": 2}
-    first, _ = update(learner(make_config(kfac)), lessons[:1])
-    plain, _ = update(learner(make_config({"ppo.clip": 0.4, "ppo.epochs": 2})), lessons[:1])
-    assert_same_bits(content(first), content(plain))
+def test_the_first_updates_have_a_clip_range_of_their_own(lessons, make_config, assert_same_bits):
+    config = {"ppo.first_updates": 1, "ppo.first_clip": 0.05, "ppo.clip": 0.4, "ppo.epochs": 2}
+    first, metrics = update(learner(make_config(config)), lessons[:1])
+    plain, same = update(learner(make_config({"ppo.clip": 0.05, "ppo.epochs": 2})), lessons[:1])
+    assert_same_bits([content(first), metrics], [content(plain), same])
     own, metrics = update(first, lessons[1:2])
-    first.config = make_config({"ppo.optimizer": "kfac", "ppo.kfac_after": 1, "ppo.clip": 0.05, "ppo.epochs": 2})
-    same, of_same = update(first, lessons[1:2])
-    assert_same_bits([content(own), metrics], [content(same), of_same])
-    first.config = make_config({"ppo.optimizer": "kfac", "ppo.kfac_after": 1, "ppo.clip": 0.4, "ppo.epochs": 2})
-    assert update(first, lessons[1:2])[1]["policy/clipped"] < metrics["policy/clipped"]
+    plain.config = make_config({"ppo.clip": 0.4, "ppo.epochs": 2})
+    after, same = update(plain, lessons[1:2])
+    assert_same_bits([content(own), metrics], [content(after), same])
+    plain.config = make_config({"ppo.clip": 0.05, "ppo.epochs": 2})
+    assert update(plain, lessons[1:2])[1]["policy/clipped"] > metrics["policy/clipped"]
 
 
 @pytest.mark.parametrize("epochs", [1, 2, 3])

@@ -131,6 +131,11 @@ def test_a_file_is_as_good_as_its_folder(configure, source, begun, tmp_path, ass
     same(tmp_path, begun, assert_same_bits)
 
 
+def test_long_first_steps_and_the_learner_of_another_run_exclude_each_other():
+    with pytest.raises(InputError, match="ppo.first_updates=60 is for fresh networks.*set ppo.first_updates=0"):
+        build([command_line(["ppo.first_updates=60", "start.checkpoint=runs/a"])])
+
+
 def test_what_cannot_be_begun_with_is_refused_in_one_line(configure, source, tmp_path):
     policy = tmp_path / "policy.pt"
     replace_file(policy, checkpoint.encode(saved.policy_content(content(source), configure())))
