@@ -1,7 +1,6 @@
 """What a policy step does to the figure, learned: a network whose derivatives by pose and action are those of physics.
 
 On a flat floor the next pose, seen from this one's heading frame, is a function of p_t and of the joints' PD targets.
-The network is told, besides, where the corners of the soles are and how they move, which p_t leaves it to work out.
 The network gives the change of p_t and of the frame; p_tar, which stands still in the world, follows by geometry.
 """
 
@@ -9,8 +8,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from learner.feet import SIZE as CONTACT_SIZE
-from learner.feet import contact
 from learner.networks import build_mlp
 from learner.normalizer import Normalizer
 from learner.rotations import about_z, matrices, rotation
@@ -19,7 +16,7 @@ from motion.errors import InputError
 from workers.observation import JOINT_AXES, POSE_SIZE
 
 _JOINTS = skeleton.NUM_JOINTS
-_INPUTS = POSE_SIZE + 6 * _JOINTS + CONTACT_SIZE
+_INPUTS = POSE_SIZE + 6 * _JOINTS
 _OUTPUTS = 4 + POSE_SIZE - 1  # displacement 3, turn 1, change of all of p_t but the height
 _RATE = 3e-4
 
@@ -105,7 +102,7 @@ class Dynamics:
 
     def _given(self, observation, action):
         pose, _ = self.split(observation)
-        return torch.cat([pose, self._aim(observation, action), contact(pose)], dim=1)
+        return torch.cat([pose, self._aim(observation, action)], dim=1)
 
     def _aim(self, observation, action):
         """(B, 78): how far the joints' rotations are from their PD targets', as `action.mode` means them."""

@@ -165,8 +165,8 @@ def test_a_learner_that_had_none_begins_with_an_untrained_one(lessons, make_conf
 
 def test_physics_of_a_version_that_saw_other_numbers_is_refused_in_one_line(lessons, make_config):
     saved = LearnerState(make_config(ON), 1).state_dict()
-    saved["dynamics"]["inputs"]["mean"] = torch.zeros(218)
-    with pytest.raises(InputError, match="sees 218 numbers, this version's 282.*arrival.weight=0"):
+    saved["dynamics"]["inputs"]["mean"] = torch.zeros(282)
+    with pytest.raises(InputError, match="sees 282 numbers, this version's 218.*arrival.weight=0"):
         LearnerState(make_config(ON), 1).load_state_dict(saved)
 
 
