@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from learner.gae import advantages
-from workers.types import TIMED_OUT, Chunk, Outcomes, concatenate_outcomes, judging
+from workers.types import TIMED_OUT, Chunk, Outcomes, concatenate_outcomes, concatenate_windows, judging
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,7 @@ def concatenate_chunks(chunks):
         final_thresholds=np.concatenate([chunk.final_thresholds for chunk in chunks])[order],
         outcomes=concatenate_outcomes(outcomes),
         version=chunks[0].version,
+        windows=concatenate_windows([chunk.windows for chunk in chunks]) if chunks[0].windows is not None else None,
         **{
             name: np.concatenate([getattr(chunk, name) for chunk in chunks], axis=1)
             for name in (
@@ -93,6 +94,13 @@ def concatenate_chunks(chunks):
             )  # fmt: skip
         },
     )
+
+
+def following(chunk):
+    """(T, N, 282), the s_t+1 that every step of a chunk led to, before any reset."""
+    after = np.concatenate([chunk.observation[1:], chunk.last_observation[None]])
+    after[np.nonzero(chunk.end)] = chunk.final_observation  # in the order of nonzero
+    return after
 
 
 def targets(state, chunk, inputs):

@@ -59,6 +59,9 @@ class PPOConfig:
     value network has Adam."""
     kfac_after: int = 0
     """kfac: so many updates with Adam come first."""
+    policy_after: int = 0
+    """So many updates at the beginning leave the policy as it is, while the value network (and learned physics) learns:
+    for a run that begins with a policy alone (`start.checkpoint`)."""
     damping: float = 0.03
     """kfac: added to the factors' diagonals, in units of the mean of their eigenvalues."""
     natural_rate: float = 0.1
@@ -124,27 +127,10 @@ class SBCConfig:
 
 
 @dataclass
-class ArrivalConfig:
-    """Descent of what is left to the target at arrival, through learned physics (`learner/arrival.py`; not in the
-    paper)."""
-
-    weight: float = 0.0
-    """Its gradient is clipped as PPO's is and added to it with this weight. 0, the paper: none, and no physics is
-    learned."""
-    steps: int = 5
-    """K, how many steps before the nearest approach are followed again; episodes with fewer in a chunk are left out."""
-    batch_size: int = 64
-    """Episodes per step of the policy."""
-    hidden: list[int] = field(default_factory=lambda: [512, 512])
-    """Units of the hidden layers of the network that learns physics (SiLU)."""
-
-
-@dataclass
 class LearnerConfig:
-    """Everything that shapes an update."""
+    """Everything that shapes an update, besides `workers.config.ArrivalConfig`."""
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     sbc: SBCConfig = field(default_factory=SBCConfig)
-    arrival: ArrivalConfig = field(default_factory=ArrivalConfig)

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from learner.encoding import join, split
 from learner.networks import build_mlp
 from learner.normalizer import Normalizer
 from learner.rotations import about_z, matrices, rotation
@@ -88,17 +89,12 @@ class Dynamics:
         return self.join(after, seen_from(target, displacement, turn))
 
     def split(self, observation):
-        """(p_t (B, 140), p_tar (B, 142)) of s_t (B, 282), p_tar as it is."""
-        pose, target = observation[:, :POSE_SIZE], observation[:, POSE_SIZE:]
-        if self._difference:
-            target = torch.cat([target[:, :3], target[:, 3:] + pose[:, 1:]], dim=1)
-        return pose, target
+        """`learner.encoding.split` of s_t (B, 282), as the run encodes it."""
+        return split(observation, self._difference)
 
     def join(self, pose, target):
         """The inverse of `split`."""
-        if self._difference:
-            target = torch.cat([target[:, :3], target[:, 3:] - pose[:, 1:]], dim=1)
-        return torch.cat([pose, target], dim=1)
+        return join(pose, target, self._difference)
 
     def _given(self, observation, action):
         pose, _ = self.split(observation)

@@ -2,6 +2,8 @@
 
 import torch
 
+LEAST = 1e-8  # added to every variance
+
 
 class Normalizer:
     """Scales vectors of `size` numbers to mean 0 and deviation 1 of all that `update` has seen.
@@ -31,12 +33,18 @@ class Normalizer:
         """(mean, 1 / deviation), each (size,) float64."""
         if self.count < 2:
             return self.mean, torch.ones_like(self.mean)
-        return self.mean, 1.0 / torch.sqrt(self.squares / self.count + 1e-8)
+        return self.mean, 1.0 / torch.sqrt(self.squares / self.count + LEAST)
 
     def __call__(self, batch):
         """The scaled batch (n, size) as float32, clipped to +-10 as in `workers.inference`."""
         mean, scale = self.mean_and_scale()
         return ((batch - mean.float()) * scale.float()).clamp(-10.0, 10.0)
+
+    def become(self, mean, scale, count):
+        """One that has seen `count` vectors and has this mean and 1 / deviation (size,)."""
+        self.count = float(count)
+        self.mean.copy_(torch.as_tensor(mean))
+        self.squares.copy_(count * (torch.as_tensor(scale).double() ** -2 - LEAST).clamp(min=0.0))
 
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint."""

@@ -32,7 +32,7 @@ class LearnerState:
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
         self.dynamics = None
-        if config.arrival.weight:
+        if config.arrival.weight and config.arrival.physics == "learned":
             self.dynamics = Dynamics(config.arrival.hidden, config, torch.Generator().manual_seed(seed), device)
         self.updates = self.skipped = 0
 
@@ -76,6 +76,17 @@ class LearnerState:
         with torch.no_grad():
             for mean, weight in zip(self.average.parameters(), self.policy.parameters(), strict=True):
                 mean.lerp_(weight, 1 - decay)
+
+    def take_policy(self, policy, samples):
+        """Act as a `workers.types.Policy` does, whose normalizer has seen so many samples."""
+        layers = [layer for layer in self.policy if isinstance(layer, torch.nn.Linear)]
+        with torch.no_grad():
+            for layer, weight, bias in zip(layers, policy.weights, policy.biases, strict=True):
+                layer.weight.copy_(torch.as_tensor(weight.T.copy()))
+                layer.bias.copy_(torch.as_tensor(bias))
+        if self.average:
+            self.average.load_state_dict(self.policy.state_dict())
+        self.observations.become(policy.observation_mean, policy.observation_scale, samples)
 
     def snapshot(self):
         """The `workers.types.Policy` to act with."""

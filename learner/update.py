@@ -38,11 +38,12 @@ def update(state, chunks):
     observation = chunk.observation.reshape(chunk.end.size, -1)
     state.observations.update(torch.as_tensor(np.ascontiguousarray(observation), device=state.device))
     if all(map(math.isfinite, metrics.values())) and state.is_finite():
-        state.follow()
-        state.learning_rate = ppo.adapt_learning_rate(
-            state.learning_rate, divergence, ppo.target_divergence(config.ppo, state.updates),
-            ppo.LARGEST_RATE[state.method],
-        )  # fmt: skip
+        if not _waits(state):
+            state.follow()
+            state.learning_rate = ppo.adapt_learning_rate(
+                state.learning_rate, divergence, ppo.target_divergence(config.ppo, state.updates),
+                ppo.LARGEST_RATE[state.method],
+            )  # fmt: skip
         state.skipped = 0
     else:
         state = copy.deepcopy(before)
@@ -64,11 +65,12 @@ def _epochs(state, batch, demonstrator, arrival):
     epochs = state.config.ppo.passes(state.method)
     for _ in range(epochs):
         for rows in np.array_split(shuffle.permutation(batch.explored), batch.minibatches):
-            record = demonstrator.step()
-            record.update(_step(state, batch, arrival, torch.as_tensor(rows, device=state.device)))
+            rows = torch.as_tensor(rows, device=state.device)
+            record = {} if _waits(state) else {**demonstrator.step(), **_improve(state, batch, arrival, rows)}
+            record.update(_judge(state, batch, rows))
             for name, number in record.items():
                 sums[name] = sums.get(name, 0.0) + number
-            divergences.append(record["policy/kl"])
+            divergences.append(record.get("policy/kl", 0.0))
     late = divergences[-(batch.minibatches if epochs > 1 else -(-batch.minibatches // 2)) :]
     steps = len(divergences)
     return {name: float(total) / steps for name, total in sums.items()}, float(sum(late)) / len(late)
@@ -91,18 +93,27 @@ def _ready(state, batch, demonstrator, shuffle):
         state.policy_optimizer.observe(inputs, sigma)
 
 
-def _step(state, batch, arrival, rows):
-    """One step of the policy and one of the value network on rows (B,) of a batch; the metrics."""
-    inputs = batch.inputs[rows]
+def _waits(state):
+    """Whether the policy stays as it is in the next update (`PPOConfig.policy_after`)."""
+    return state.updates < state.config.ppo.policy_after
+
+
+def _improve(state, batch, arrival, rows):
+    """One step of the policy on rows (B,) of a batch; the metrics."""
     loss, divergence, clipped = ppo.policy_loss(
-        state.policy(inputs), batch.action[rows], batch.acting_mean[rows], batch.anchor_mean[rows],
+        state.policy(batch.inputs[rows]), batch.action[rows], batch.acting_mean[rows], batch.anchor_mean[rows],
         batch.advantage[rows], batch.sigma[rows], state.config.ppo.clip_range(state.updates),
     )  # fmt: skip
     added, record = arrival.gradient()
     norm = state.descend("policy", loss, added)
-    value_loss = ((state.value(inputs).squeeze(-1) - batch.wanted_value[rows]) ** 2).mean()
-    value_norm = state.descend("value", value_loss)
     return {
-        "loss/policy": loss.detach(), "loss/value": value_loss.detach(), "policy/kl": divergence,
-        "policy/clipped": clipped, "gradient/policy": norm, "gradient/value": value_norm, **record,
+        "loss/policy": loss.detach(), "policy/kl": divergence, "policy/clipped": clipped, "gradient/policy": norm,
+        **record,
     }  # fmt: skip
+
+
+def _judge(state, batch, rows):
+    """One step of the value network on rows (B,) of a batch; the metrics."""
+    value = state.value(batch.inputs[rows]).squeeze(-1)
+    loss = ((value - batch.wanted_value[rows]) ** 2).mean()
+    return {"loss/value": loss.detach(), "gradient/value": state.descend("value", loss)}

@@ -1,4 +1,4 @@
-"""What a run begins with that does not begin from scratch: the learner of another run's checkpoint."""
+"""What a run begins with that does not begin from scratch: the learner of another run's checkpoint, or a policy."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def content(config, clips):
     tightenings = config.start.tightenings
     if tightenings is None:
         tightenings = source["parts"][1].tightenings
-    learner = {**source["parts"][0], "updates": 0, "skipped": 0}
+    learner = {**(source["parts"][0] or _around(config, source)), "updates": 0, "skipped": 0}
     curriculum = CurriculumState(tightenings=min(tightenings, final_tightenings(config.curriculum)))
     return saved.content_of(config, clips, 0, learner, curriculum, [], source["policies"][-1:], []), path
 
@@ -40,12 +40,24 @@ def _read(config):
         source, path = (saved.load_file(place), place) if place.exists() else (None, None)
     if source is None:
         raise InputError(f"start.checkpoint={place}: no checkpoint there; give a run's folder or a file in it")
-    if source["parts"][0] is None:
-        raise InputError(f"start.checkpoint={path}: holds a policy to use, not a learner; give a checkpoint of a run")
-    meaning = _MEANING
-    if config.arrival.weight and source["parts"][0].get("dynamics"):  # its learned physics goes on, too
+    meaning, learner = _MEANING, source["parts"][0]
+    learned = config.arrival.weight and config.arrival.physics == "learned"
+    if learned and learner and learner.get("dynamics"):  # its learned physics goes on, too
         meaning += ("arrival.hidden",)
-    other = disagreement(source["config"], saved.numbers_of(config), lambda key: key.startswith(meaning))
+    other = disagreement(
+        source["config"], saved.numbers_of(config),
+        lambda key: key.startswith(meaning) and (learner or key != "network.value_hidden"),
+    )  # fmt: skip
     if other is not None:
         raise InputError(f"start.checkpoint={path}: of a run with {other}")
     return source, path
+
+
+def _around(config, source):
+    """State of a learner with the policy of a policy file, which holds no more than that: all else is fresh."""
+    from learner.state import LearnerState  # torch, which who begins from scratch need not wait for
+
+    trained, state = source["config"], LearnerState(config, config.seed)
+    samples = source["iteration"] * trained["num_envs"] * trained["horizon"]
+    state.take_policy(source["policies"][-1], samples)
+    return state.state_dict()

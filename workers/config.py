@@ -121,8 +121,28 @@ class PhysicsConfig:
 
 
 @dataclass
+class ArrivalConfig:
+    """Descent of what is left to the target at arrival, through the physics of the last steps (`learner/arrival.py`;
+    not in the paper)."""
+
+    weight: float = 0.0
+    """Its gradient is clipped as PPO's is and added to it with this weight. 0, the paper: none."""
+    physics: str = "learned"
+    """Whose derivatives: `learned`, a network's that learns from the chunks; `simulated`, those of physics itself, by
+    differences (`workers/derivatives.py`): some 30 to 100 simulated steps for each step of a window."""
+    share: float = 0.3
+    """simulated: share of the episodes that get derivatives."""
+    steps: int = 5
+    """K, how many steps before the nearest approach are followed again; episodes with fewer in a chunk are left out."""
+    batch_size: int = 64
+    """Episodes per step of the policy, at most."""
+    hidden: list[int] = field(default_factory=lambda: [512, 512])
+    """learned: units of the hidden layers of the network (SiLU)."""
+
+
+@dataclass
 class EnvConfig:
-    """Everything that shapes the environment besides the clips."""
+    """Everything that shapes the environment, and what is measured in it, besides the clips."""
 
     reward: RewardConfig = field(default_factory=RewardConfig)
     reach: ReachConfig = field(default_factory=ReachConfig)
@@ -132,3 +152,4 @@ class EnvConfig:
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     action: ActionConfig = field(default_factory=ActionConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    arrival: ArrivalConfig = field(default_factory=ArrivalConfig)

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 # Purposes: streams that never share a number
-TASK, STAY, ACTION, EVALUATION = 0, 1, 2, 3
+TASK, STAY, ACTION, EVALUATION, DERIVATIVES = range(5)
 
 _MASK = np.uint64(0xFFFFFFFF)
 _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)

@@ -1,28 +1,17 @@
 """N transition tasks side by side, on `mujoco.batch.Batch`. No Python loop over environments in a step."""
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numba import njit
 
 from workers.action import MODES, act_batch
-from workers.humanoid import build_model
+from workers.humanoid import DIVERGED, build_model
 from workers.kinematics import NQ, NUM_BODIES, NUM_DOF, NUM_JOINTS, NV, forward_kinematics, forward_kinematics_batch
 from workers.observation import OBSERVATION_SIZE, observe_batch
 from workers.planner import begin, draw_task, stays
 from workers.reward import deviate, deviate_batch, reward, sign_changes, tremble_share
 from workers.termination import fall_mask, terminate
 from workers.types import DEVIATIONS, FELL, NUM_PARTS, REACHED, WorkerState
-
-# the warnings on which MuJoCo resets a simulation by itself
-_DIVERGED = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
 
 
 @njit(cache=True)
@@ -94,6 +83,7 @@ class Environment:
         self.config, self.library, self.num_envs = config, library, num_envs
         self._substeps = config.physics.substeps
         self._batch = Batch(build_model(config.physics), num_envs, threads)
+        self.physics = self._batch.state  # (num_envs, nstate), MuJoCo's integration state
         self.qpos, self.qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl, self._warmstart = self._batch.bind("ctrl"), self._batch.bind("qacc_warmstart")
         self.target_qpos, self.target_qvel = np.zeros((num_envs, NQ)), np.zeros((num_envs, NV))
@@ -151,7 +141,7 @@ class Environment:
             self._batch.step(ids, nstep=self._substeps)
         except SimulationError as error:  # the others have been stepped
             refused = error.ids
-        diverged = self._batch.warning[:, _DIVERGED, 1].any(axis=1)
+        diverged = self._batch.warning[:, DIVERGED, 1].any(axis=1)
         diverged[refused] = True
         # MuJoCo looks at the start of a step, and for numbers beyond 1e10: what the last substep did is seen here
         diverged |= ~np.isfinite(self.qpos).all(axis=1)

@@ -10,6 +10,16 @@ import mujoco
 from motion import skeleton
 from workers.config import PhysicsConfig
 
+# the warnings on which MuJoCo resets a simulation by itself
+DIVERGED = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+
 
 @dataclass(frozen=True)
 class Shape:

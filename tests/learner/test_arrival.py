@@ -1,12 +1,15 @@
-"""`learner.dynamics` and `learner.arrival`: the environment's geometry, true derivatives, a physics that learns."""
+"""The descent at arrival through physics that learns: the environment's geometry, true derivatives, what it follows."""
 
 import numpy as np
 import pytest
 import torch
 
-from learner import arrival
-from learner.arrival import Arrival, deviations
+from learner import arrival, learned_windows
+from learner.arrival import Arrival
+from learner.batch import following as next_observations
 from learner.dynamics import Dynamics, moved
+from learner.encoding import deviations
+from learner.learned_windows import LearnedWindows
 from learner.state import LearnerState
 from learner.update import update
 from motion.errors import InputError
@@ -17,9 +20,7 @@ ENCODINGS = [("absolute", "absolute"), ("difference", "target"), ("difference", 
 
 
 def following(chunk):
-    after = np.concatenate([chunk.observation[1:], chunk.last_observation[None]])
-    after[np.nonzero(chunk.end)] = chunk.final_observation
-    return torch.as_tensor(after.reshape(-1, 282))
+    return torch.as_tensor(next_observations(chunk).reshape(-1, 282))
 
 
 def flat(array):
@@ -96,10 +97,10 @@ def test_what_it_has_learned_of_some_steps_holds_for_others(lessons, make_config
 
 
 def test_windows_end_at_the_nearest_step_of_exploring_episodes_that_came_near(lessons, make_config, monkeypatch):
-    monkeypatch.setattr(arrival, "NEAR", 1e9)
+    monkeypatch.setattr(learned_windows, "NEAR", 1e9)
     chunk = lessons[1]
     state = LearnerState(make_config({**ON, "policy.judges": 4}), 1)
-    found = Arrival(state, chunk)
+    found = LearnedWindows(state, chunk)
     horizon, n = chunk.end.shape
     left = deviations(*state.dynamics.split(following(chunk))).numpy().reshape(horizon, n, 3)
     expected = []
@@ -116,25 +117,27 @@ def test_windows_end_at_the_nearest_step_of_exploring_episodes_that_came_near(le
 
 def test_its_loss_is_what_was_left_if_the_policy_is_still_the_one_that_acted(lessons, make_config, monkeypatch):
     """Values are those that were observed, whatever the network has learned."""
-    monkeypatch.setattr(arrival, "NEAR", 1e9)
+    monkeypatch.setattr(learned_windows, "NEAR", 1e9)
     state = LearnerState(make_config(ON), 1)
-    found = Arrival(state, lessons[1])
+    monkeypatch.setattr(arrival, "NEAR", 1e9)
+    whole = Arrival(state, lessons[1])
+    found = whole._windows
     network = found._mean
     monkeypatch.setattr(state, "policy", lambda inputs: network[rows.pop(0)])
     n = found._n
-    for chosen in range(len(found._windows)):
+    for chosen in range(len(found)):
         first = int(found._windows[chosen])
         rows = [slice(first, first + 1), slice(first + n, first + n + 1)]
         left = deviations(*state.dynamics.split(found._following[first + n : first + n + 1]))[0]
         ratio = (left / found._limits[chosen]).numpy()
-        assert found._loss(np.array([chosen])).item() == pytest.approx((ratio**4).sum() ** 0.25, rel=1e-3)
+        assert whole._loss(np.array([chosen])).item() == pytest.approx((ratio**4).sum() ** 0.25, rel=1e-3)
 
 
 @pytest.mark.parametrize("optimizer", ("adam", "kfac"))
 def test_an_update_with_it_is_pure_and_comes_back_from_a_checkpoint(
     optimizer, lessons, make_config, monkeypatch, assert_same_bits
 ):
-    monkeypatch.setattr(arrival, "NEAR", 1e9)
+    monkeypatch.setattr(learned_windows, "NEAR", 1e9)
     config = make_config({**ON, "ppo.optimizer": optimizer})
     state, metrics = update(LearnerState(config, 1), lessons[:1])
     assert metrics["gradient/arrival"] > 0 and metrics["loss/dynamics"] > 0
@@ -147,7 +150,7 @@ def test_an_update_with_it_is_pure_and_comes_back_from_a_checkpoint(
 
 
 def test_off_it_changes_nothing_and_on_it_changes_the_policy_only(lessons, make_config, monkeypatch, assert_same_bits):
-    monkeypatch.setattr(arrival, "NEAR", 1e9)
+    monkeypatch.setattr(learned_windows, "NEAR", 1e9)
     off, numbers = update(LearnerState(make_config(), 1), lessons[:1])
     on, _ = update(LearnerState(make_config(ON), 1), lessons[:1])
     assert off.dynamics is None and "loss/arrival" not in numbers
@@ -173,7 +176,7 @@ def test_physics_of_a_version_that_saw_other_numbers_is_refused_in_one_line(less
 def test_a_chunk_in_which_nobody_came_near_still_teaches_physics_and_nothing_else(
     lessons, make_config, monkeypatch, assert_same_bits
 ):
-    monkeypatch.setattr(arrival, "NEAR", 0.0)
+    monkeypatch.setattr(learned_windows, "NEAR", 0.0)
     off, _ = update(LearnerState(make_config(), 1), lessons[:1])
     on, metrics = update(LearnerState(make_config(ON), 1), lessons[:1])
     assert_same_bits(off.policy.state_dict(), on.policy.state_dict())

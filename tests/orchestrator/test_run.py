@@ -86,6 +86,16 @@ def test_the_number_of_workers_changes_no_number(workers, finished, configure, t
     assert_same_run(finished[0], tmp_path, assert_same_bits)
 
 
+def test_derivatives_are_the_same_whoever_simulates_them_and_after_a_crash(configure, tmp_path, assert_same_bits):
+    simulated = {"arrival.physics": "simulated", "arrival.share": 1.0, "physics.sole": 0.02, "budget.iterations": 3}
+    train(configure(**simulated), tmp_path / "one")
+    assert max(row["gradient/arrival"] for row in lines(tmp_path / "one")) > 0
+    with pytest.raises(Killed):
+        train(configure(num_workers=3, **simulated), tmp_path / "three", killed_after(2))
+    train(configure(num_workers=3, **simulated), tmp_path / "three")
+    assert_same_run(tmp_path / "one", tmp_path / "three", assert_same_bits)
+
+
 def test_environments_are_shared_out_evenly_and_completely():
     for envs, workers in ((8, 1), (8, 3), (10, 4), (4096, 7)):
         parts = shares(envs, workers)

@@ -4,6 +4,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from training import Killed, killed_after, lines
 
@@ -131,20 +132,56 @@ def test_a_file_is_as_good_as_its_folder(configure, source, begun, tmp_path, ass
     same(tmp_path, begun, assert_same_bits)
 
 
+@pytest.fixture(scope="module")
+def policy_file(configure, source, tmp_path_factory):
+    path = tmp_path_factory.mktemp("policy") / "policy.pt"
+    replace_file(path, checkpoint.encode(saved.policy_content(content(source), configure())))
+    return path
+
+
+def test_a_policy_alone_begins_a_run_with_everything_else_fresh(configure, policy_file, tmp_path, assert_same_bits):
+    """A value network of another size included; the policy stays as it is for `ppo.policy_after` updates."""
+    given = saved.load_file(policy_file)
+    changes = {"network.value_hidden": [12], "ppo.policy_after": 3, "curriculum.achievement": 1.0}
+    train(other(configure, policy_file, **changes, **{"checkpoint.every": 1, "checkpoint.keep": 9}), tmp_path)
+    acted = [saved.load_file(path)["policies"][-1] for path in checkpoint.paths(tmp_path / "checkpoints")]
+    assert len(acted) == 5  # after 0 to 4 updates
+    for policy in acted[:4]:
+        assert_same_bits(policy.weights, given["policies"][-1].weights)
+        assert_same_bits(policy.biases, given["policies"][-1].biases)
+    assert_same_bits(acted[3].average_weights, given["policies"][-1].weights)
+    assert (acted[4].weights[0] != acted[3].weights[0]).any()
+    np.testing.assert_allclose(acted[0].observation_mean, given["policies"][-1].observation_mean, rtol=1e-6)
+    np.testing.assert_allclose(acted[0].observation_scale, given["policies"][-1].observation_scale, rtol=1e-4)
+    rows = lines(tmp_path)
+    assert {row["thresholds/tightenings"] for row in rows} == {given["parts"][1].tightenings}
+    assert all("loss/value" in row for row in rows)
+    assert ["loss/policy" in row for row in rows] == [False, False, False, True]
+    values = [saved.load_file(path)["parts"][0]["value"] for path in checkpoint.paths(tmp_path / "checkpoints")]
+    assert values[0]["0.weight"].shape == (12, 282)
+    assert (values[1]["0.weight"] != values[0]["0.weight"]).any()
+
+
+def test_the_normalizer_of_a_policy_has_seen_what_its_run_had(configure, policy_file, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        train(other(configure, policy_file), tmp_path, stop=lambda: True)
+    first = saved.load_file(tmp_path / "checkpoints/00000000.pt")["parts"][0]
+    assert first["observations"]["count"] == saved.load_file(policy_file)["iteration"] * 8 * 8
+
+
 def test_long_first_steps_and_the_learner_of_another_run_exclude_each_other():
     with pytest.raises(InputError, match="ppo.first_updates=60 is for fresh networks.*set ppo.first_updates=0"):
         build([command_line(["ppo.first_updates=60", "start.checkpoint=runs/a"])])
 
 
-def test_what_cannot_be_begun_with_is_refused_in_one_line(configure, source, tmp_path):
-    policy = tmp_path / "policy.pt"
-    replace_file(policy, checkpoint.encode(saved.policy_content(content(source), configure())))
+def test_what_cannot_be_begun_with_is_refused_in_one_line(configure, source, policy_file, tmp_path):
     broken = tmp_path / "broken.pt"
     broken.write_bytes(b"")
     for where, changes, words in (
         (tmp_path / "nowhere", {}, "no checkpoint there"),
         (tmp_path, {}, "no checkpoint there"),
-        (policy, {}, "holds a policy to use"),
+        (policy_file, {"network.hidden": [8]}, "network.hidden=[16], asked for network.hidden=[8]"),
+        (policy_file, {"action.mode": "current"}, "action.mode=target, asked for action.mode=current"),
         (broken, {}, "not a readable checkpoint"),
         (source, {"network.hidden": [8]}, "network.hidden=[16], asked for network.hidden=[8]"),
         (source, {"action.scale": 3.0}, "action.scale=1.0, asked for action.scale=3.0"),
