@@ -101,6 +101,7 @@ RULES = {
     "arrival.weight": at_least(0),
     "arrival.physics": choice("learned", "simulated"),
     "arrival.share": PROBABILITY,
+    "arrival.lead": at_least(0),
     "arrival.steps": at_least(1),
     "arrival.batch_size": at_least(1),
     "arrival.hidden": every(at_least(1)),

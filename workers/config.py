@@ -131,9 +131,13 @@ class ArrivalConfig:
     """Whose derivatives: `learned`, a network's that learns from the chunks; `simulated`, those of physics itself, by
     differences (`workers/derivatives.py`): some 30 to 100 simulated steps for each step of a window."""
     share: float = 0.3
-    """simulated: share of the episodes that get derivatives."""
+    """simulated: share of the environments beside which an episode is played for it in every chunk."""
+    lead: int = 5
+    """simulated: what is left is measured by the thresholds of so many tightenings on, which is where the root's place
+    counts as much as the joints."""
     steps: int = 5
-    """K, how many steps before the nearest approach are followed again; episodes with fewer in a chunk are left out."""
+    """K, how many steps before the nearest approach are followed again; episodes with fewer (learned: in a chunk) are
+    left out."""
     batch_size: int = 64
     """Episodes per step of the policy, at most."""
     hidden: list[int] = field(default_factory=lambda: [512, 512])

@@ -7,7 +7,7 @@ from workers.inference import PolicyNetwork
 from workers.kinematics import NQ, NUM_DOF, NV
 from workers.noise import ActionNoise
 from workers.types import Chunk, Outcomes, concatenate_outcomes, judging
-from workers.windows import WindowRecorder
+from workers.windows import Scouts
 
 
 class Rollout:
@@ -16,9 +16,9 @@ class Rollout:
     def __init__(self, config, library, num_envs, horizon, seed, threads=1):
         """config: `EnvConfig`; library: `MotionLibrary`; seed: of the run."""
         self._environment = Environment(config, library, num_envs, threads)
-        self._horizon, self._seed, self._recorder = horizon, seed, None
+        self._horizon, self._seed, self._scouts = horizon, seed, None
         if config.arrival.weight and config.arrival.physics == "simulated":
-            self._recorder = WindowRecorder(config, self._environment, horizon, seed, threads)
+            self._scouts = Scouts(config, library, num_envs, seed, threads)
 
     def initial_state(self, first):
         """The state before the first chunk, of the environments with indices first, first + 1, ... in the run."""
@@ -33,7 +33,7 @@ class Rollout:
 
     def collect(self, state, policy, thresholds):
         """(Chunk, WorkerState) after `horizon` steps of the policy from `state`; see `workers.types`."""
-        env, horizon, n, recorder = self._environment, self._horizon, self._environment.num_envs, self._recorder
+        env, horizon, n = self._environment, self._horizon, self._environment.num_envs
         env.load(state)
         index, episode, clock = state.environment, state.episode.copy(), state.clock
         network = PolicyNetwork(policy, n)
@@ -56,8 +56,6 @@ class Rollout:
         everybody, nobody = np.arange(n), np.zeros(0, dtype=np.int64)
         final, ended = [env.observe(new_observations(0), nobody)], [outcomes(env, clock, index, nobody, thresholds)]
         limits = [np.empty((0, 3))]
-        if recorder:
-            recorder.begin()
         for t in range(horizon):
             env.observe(observation[t])
             mean[t] = network.mean(observation[t])
@@ -67,11 +65,7 @@ class Rollout:
             log_sigma[t] = policy.exploring_log_sigma(cuts)
             action[t] = mean[t] + noise.next(log_sigma[t], policy.independent(cuts))
             pose[t, :, :NQ], pose[t, :, NQ:] = env.qpos, env.qvel
-            if recorder:
-                recorder.before(t)
             env.step(action[t], thresholds)
-            if recorder:
-                recorder.after(t)
             clock += 1
             next_pose[t, :, :NQ], next_pose[t, :, NQ:] = env.qpos, env.qvel
             pd_target[t] = env.pd_target
@@ -82,8 +76,6 @@ class Rollout:
                 final.append(env.observe(new_observations(len(ids)), ids))
                 ended.append(outcomes(env, clock, index, ids, thresholds))
                 limits.append(thresholds.of(env.groups(thresholds, ids))[:, :3])
-                if recorder:
-                    recorder.ended(t, ids, index, episode, ~judged, limits[-1])
                 env.plan(self._seed, index, episode, ids, focus, thresholds.shares)
                 env.begin(ids)
         chunk = Chunk(
@@ -102,7 +94,7 @@ class Rollout:
             outcomes=concatenate_outcomes(ended),
             version=policy.version,
             log_sigma=log_sigma,
-            windows=recorder.windows(action, index) if recorder else None,
+            windows=self._scouts and self._scouts.windows(policy, thresholds, index, state.clock),
         )
         return chunk, env.save(index, episode, clock)
 

@@ -186,25 +186,26 @@ def concatenate_outcomes(items):
 @dataclass(frozen=True)
 class Windows:
     """M windows of K steps, which end where an episode was nearest to its target, with the derivatives of physics along
-    them (`workers.derivatives`). Ordered by environment, then by step; float32 unless said otherwise.
+    them (`workers.derivatives`). Ordered by environment; float32 unless said otherwise.
 
     A state x has 74 tangent coordinates; x_0 is the state before the first step, x_{k+1} that after step k.
-    environment: (M,) int64, index in the run. step: (M,) int64, the first step's in the chunk.
-    limits: (M, 3), d^rp, d^kp and d^q that judged the episode's last step.
-    by_action: (M, K, 74, 31), x_{k+1} by the policy's output of step k.
+    environment: (M,) int64, index in the run. limits: (M, 3), what d^rp, d^kp, d^q are measured by.
+    observation: (M, K + 1, 282), of x_0 to x_K. mean: (M, K, 31), the policy's output without the noise that was added.
+    by_action: (M, K, 74, 31), x_{k+1} by the action of step k.
     by_state: (M, K - 1, 74, 74), x_{k+1} by x_k, of the steps from the second on.
     seen: (M, K, 282, 74), the observation of x_{k+1} by x_{k+1}.
     """
 
     environment: np.ndarray
-    step: np.ndarray
     limits: np.ndarray
+    observation: np.ndarray
+    mean: np.ndarray
     by_action: np.ndarray
     by_state: np.ndarray
     seen: np.ndarray
 
     def __len__(self):
-        return len(self.step)
+        return len(self.environment)
 
     def take(self, order):
         """The windows at the indices `order`."""
@@ -214,7 +215,7 @@ class Windows:
 def concatenate_windows(items):
     """One `Windows` of a sequence of them, in order."""
     joined = Windows(**{name: np.concatenate([getattr(item, name) for item in items]) for name in vars(items[0])})
-    return joined.take(np.lexsort((joined.step, joined.environment)))
+    return joined.take(np.argsort(joined.environment, kind="stable"))
 
 
 @dataclass(frozen=True)

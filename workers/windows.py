@@ -1,98 +1,112 @@
-"""The last steps before the nearest approach of some episodes, with the derivatives of physics along them.
+"""Episodes played beside a chunk for the descent at arrival, with derivatives of physics before their nearest approach.
 
-What `arrival.physics=simulated` learns from (`learner.arrival`). Which episodes is a function of (seed, environment,
-episode), so that it does not depend on how many workers there are.
+What `arrival.physics=simulated` learns from (`learner.simulated_windows`). These episodes act as in the evaluation,
+with its noise, and go on past their arrival, so that they show how near the figure comes; nobody else knows of them. A
+function of (policy, thresholds, seed, environments, clock) and of nothing before: there is no state to keep.
 """
 
 import numpy as np
 from numba import njit
 
-from workers.counter_random import DERIVATIVES, uniforms
+from workers.counter_random import DERIVATIVES, fill_normal, uniforms
 from workers.derivatives import TANGENT, Derivatives, observed
-from workers.kinematics import NQ, NUM_DOF
+from workers.environment import Environment, new_observations
+from workers.inference import PolicyNetwork
+from workers.kinematics import NUM_DOF
 from workers.observation import OBSERVATION_SIZE
 from workers.reward import KP, RP, Q
-from workers.types import Windows
+from workers.types import FELL, Thresholds, Windows
 
 NEAR = 4.0  # thresholds; who came no nearer is left to PPO
+_NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
+_EPISODES = 2**40  # from here on their tasks are numbered, by the clock: those of training never get there
+_DRAW = 2**20  # the block of the number that says who plays; noise has the first few
 
 
 @njit(cache=True)
-def drawn(seed, environment, episode, share):
-    """Whether the episodes numbered episode (E,) of environments (E,) are among the share, (E,) bool."""
-    out = np.empty(len(episode), dtype=np.bool_)
-    for i in range(len(episode)):
-        out[i] = uniforms(seed, DERIVATIVES, environment[i], episode[i], 0)[0] < share
+def drawn(seed, environment, clock, share):
+    """Whether environments (N,) play such an episode beside the chunk that begins at `clock`: a share of them."""
+    out = np.empty(len(environment), dtype=np.bool_)
+    for i in range(len(environment)):
+        out[i] = uniforms(seed, DERIVATIVES, environment[i], clock, _DRAW)[0] < share
     return out
 
 
-class WindowRecorder:
-    """Follows the steps of one chunk of an `Environment` after another; scratch memory only."""
+class Scouts:
+    """Plays them for one worker; scratch memory only."""
 
-    def __init__(self, config, env, horizon, seed, threads):
-        """config: `EnvConfig`. horizon: steps of a chunk. seed: of the run."""
-        n = env.num_envs
-        self._config, self._env, self._seed = config.arrival, env, seed
-        self._own = config.observation.target == "difference"
+    def __init__(self, config, library, num_envs, seed, threads):
+        """config: `EnvConfig` and the curriculum's. num_envs: of the worker. seed: of the run."""
+        self._config, self._library, self._seed = config, library, seed
+        self._env = Environment(config, library, num_envs, threads)
         self._derivatives = Derivatives(config, threads)
-        self._physics = np.empty((horizon, n, env.physics.shape[1]))
-        self._target = np.empty((horizon, n, NQ)), np.empty((horizon, n, env.target_qvel.shape[1]))
-        self._after = np.empty_like(self._target[0]), np.empty_like(self._target[1])
-        self._left = np.empty((horizon, n, 3))
 
-    def begin(self):
-        """A new chunk."""
-        self._begun = np.zeros(self._env.num_envs, dtype=np.int64)  # the step of the chunk at which an episode began
-        self._found = []  # (step, column, limits)
-
-    def before(self, t):
-        """Step t is about to be taken."""
-        self._physics[t] = self._env.physics
-        self._target[0][t], self._target[1][t] = self._env.target_qpos, self._env.target_qvel
-
-    def after(self, t):
-        """It has been taken, and nothing has begun anew yet."""
-        self._after[0][t], self._after[1][t] = self._env.qpos, self._env.qvel
-        self._left[t] = self._env.deviations[:, [RP, KP, Q]]
-
-    def ended(self, t, ids, environment, episode, explores, limits):
-        """Episodes ended in rows ids at step t. environment, episode: (N,), indices in the run and numbers; explores:
-        (N,) bool. limits: (len, 3), the thresholds that judged them."""
-        steps = self._config.steps
-        chosen = explores[ids] & drawn(self._seed, environment[ids], episode[ids], self._config.share)
-        for i, limit in zip(ids[chosen], limits[chosen]):
-            ratio = (self._left[self._begun[i] : t + 1, i] / limit).max(axis=1)
-            first = self._begun[i] + int(ratio.argmin()) - steps + 1
-            if ratio.min() < NEAR and first >= self._begun[i]:
-                self._found.append((first, i, limit))
-        self._begun[ids] = t + 1
-
-    def windows(self, action, environment):
-        """The chunk's `Windows`. action: (T, N, 31), what was done; environment: (N,), indices in the run."""
-        found, steps = sorted(self._found, key=lambda item: (item[1], item[0])), self._config.steps
-        first, column = (np.array([item[k] for item in found], dtype=np.int64) for k in (0, 1))
-        limits = np.array([item[2] for item in found]).reshape(-1, 3)
+    def windows(self, policy, thresholds, environment, clock):
+        """`Windows` of a policy beside the chunk that begins at `clock`; environment: (N,), indices in the run."""
+        config, steps = self._config, self._config.arrival.steps
+        environment = environment[drawn(self._seed, environment, clock, config.arrival.share)]
+        played = self._play(policy, environment, clock)
+        limits = self._limits(thresholds, len(environment))
+        with np.errstate(invalid="ignore"):
+            ratio = (played["left"] / limits).max(axis=2)
+        first = ratio.argmin(axis=0) - steps + 1
+        rows = np.flatnonzero((ratio.min(axis=0, initial=np.inf) < NEAR) & (first >= 0))
+        at = [(first[rows] + k, rows) for k in range(steps + 1)]
+        target = [array[rows] for array in (self._env.target_qpos, self._env.target_qvel)]
         parts = [
-            self._derivatives.of(
-                self._physics[first + k, column], action[first + k, column], self._target[0][first + k, column], k > 0
-            )
-            for k in range(steps)
+            self._derivatives.of(played["physics"][now], played["action"][now], target[0], by_state=k > 0)
+            for k, now in enumerate(at[:-1])
         ]
-        by_state = [part[:, :, :TANGENT] for part in parts[1:]]
-        seen = [
-            observed(*(array[first + k, column] for array in (*self._after, *self._target)), self._own)
-            for k in range(steps)
-        ]
+        own = config.observation.target == "difference"
         made = Windows(
-            environment=environment[column],
-            step=first,
-            limits=limits.astype(np.float32),
-            by_action=_stack([part[:, :, -NUM_DOF:] for part in parts], len(found), TANGENT, NUM_DOF),
-            by_state=_stack(by_state, len(found), TANGENT, TANGENT),
-            seen=_stack(seen, len(found), OBSERVATION_SIZE, TANGENT),
-        )
+            environment=environment[rows],
+            limits=limits[rows].astype(np.float32),
+            observation=_stack([played["observation"][now] for now in at], len(rows), OBSERVATION_SIZE),
+            mean=_stack([played["mean"][now] for now in at[:-1]], len(rows), NUM_DOF),
+            by_action=_stack([part[:, :, -NUM_DOF:] for part in parts], len(rows), TANGENT, NUM_DOF),
+            by_state=_stack([part[:, :, :TANGENT] for part in parts[1:]], len(rows), TANGENT, TANGENT),
+            seen=_stack(
+                [observed(played["qpos"][now], played["qvel"][now], *target, own) for now in at[1:]],
+                len(rows), OBSERVATION_SIZE, TANGENT,
+            ),
+        )  # fmt: skip
         fine = np.isfinite(made.by_action).all(axis=(1, 2, 3)) & np.isfinite(made.by_state).all(axis=(1, 2, 3))
         return made if fine.all() else made.take(np.flatnonzero(fine))
+
+    def _limits(self, thresholds, n):
+        """(n, 3): the thresholds of the tasks in the first n rows, `arrival.lead` tightenings on."""
+        rows, curriculum = np.arange(n), self._config.curriculum
+        limits = thresholds.of(self._env.groups(thresholds, rows))[:, :3]
+        return np.maximum(limits * curriculum.factor**self._config.arrival.lead, curriculum.floor)
+
+    def _play(self, policy, environment, clock):
+        """{name: what the first n rows did in H steps}: left (H, n, 3), infinite from a fall on; action and mean (H, n,
+        31); observation, physics, qpos and qvel (H + 1, n, ...), before each step and at the end."""
+        env, n, steps = self._env, len(environment), self._config.task.time_limit
+        rows, index = np.arange(n), np.zeros(self._env.num_envs, dtype=np.int64)
+        index[:n] = environment
+        env.end[:] = 0  # nobody has failed: all tasks are new
+        env.plan(self._seed, index, np.full(env.num_envs, _EPISODES + clock), rows)
+        env.begin(rows)
+        network, deviation = PolicyNetwork(policy, env.num_envs), np.exp(policy.judge_log_sigma)
+        kept = {name: [] for name in ("left", "action", "mean", "observation", "physics", "qpos", "qvel")}
+        noise, action = np.empty((n, NUM_DOF)), np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
+        standing = np.ones(n, dtype=bool)
+        for t in range(steps):
+            seen = env.observe(new_observations(n), rows)
+            mean = network.mean(seen).copy()
+            fill_normal(self._seed, DERIVATIVES, environment, np.full(n, (clock << 16) + t), noise)
+            action[:n] = mean + np.float32(deviation) * noise.astype(np.float32)
+            before = {"observation": seen, "mean": mean, "action": action[:n], "physics": env.physics[:n]}
+            for name, value in {**before, "qpos": env.qpos[:n], "qvel": env.qvel[:n]}.items():
+                kept[name].append(value.copy())
+            env.step(action, _NEVER, rows)
+            standing &= env.end[:n] != FELL
+            kept["left"].append(np.where(standing[:, None], env.deviations[:n][:, [RP, KP, Q]], np.inf))
+        last = {"observation": env.observe(new_observations(n), rows), "qpos": env.qpos[:n], "qvel": env.qvel[:n]}
+        for name, value in last.items():
+            kept[name].append(value.copy())
+        return {name: np.array(values) for name, values in kept.items()}
 
 
 def _stack(parts, count, *shape):

@@ -21,7 +21,7 @@ STEPS, N = 3, 32
 ON = {
     "task.max_steps": 8, "physics.sole": 0.02, "arrival.weight": 1.0, "arrival.physics": "simulated",
     "arrival.steps": STEPS, "arrival.share": 1.0, "arrival.batch_size": 16, "policy.log_sigma": -3.0,
-    "observation.target": "difference", "horizon": 16,
+    "observation.target": "difference",
 }  # fmt: skip
 
 
@@ -34,27 +34,29 @@ def everybody_is_near():
 
 @pytest.fixture(scope="module")
 def lesson(library, make_config, easy):
-    """(configuration, the chunk of the policy of seed 1, its rollout)."""
+    """(configuration, the chunk of the policy of seed 1, what its scouts played)."""
     config = make_config(ON)
     rollout = Rollout(config, library, N, config.horizon, seed=5)
     state, policy = rollout.initial_state(0), LearnerState(config, 1).snapshot()
-    for _ in range(2):
-        chunk, state = rollout.collect(state, policy, easy)
-    assert len(chunk.windows) >= 10
-    return config, chunk, rollout
+    chunk, _ = rollout.collect(state, policy, easy)
+    assert len(chunk.windows) >= 20
+    return config, chunk, (rollout._scouts, rollout._scouts._play(policy, np.arange(N), 0))
 
 
 def played(lesson, library, policy):
     """d^rp, d^kp, d^q (M, 3), in thresholds, where each window ends if `policy` acts in it with the noise of then."""
-    config, chunk, rollout = lesson
-    found, recorder = chunk.windows, rollout._recorder
-    env, column = Environment(config, library, len(found)), np.searchsorted(chunk.environment, found.environment)
-    env.physics[:] = recorder._physics[found.step, column]
-    env.target_qpos[:], env.target_qvel[:] = (target[found.step, column] for target in recorder._target)
+    config, chunk, (scouts, before) = lesson
+    found, row = chunk.windows, chunk.windows.environment
+    starts = zip(row, found.observation[:, 0])
+    first = [np.flatnonzero((before["observation"][:, i] == start).all(axis=1))[0] for i, start in starts]
+    env = Environment(config, library, len(found))
+    env.physics[:] = before["physics"][first, row]
+    env.target_qpos[:], env.target_qvel[:] = scouts._env.target_qpos[row], scouts._env.target_qvel[row]
     forward_kinematics_batch(env.qpos, env.bodies, env.rotations)
     forward_kinematics_batch(env.target_qpos, env.target_bodies, np.empty_like(env.rotations))
     for k in range(STEPS):
-        noise = (chunk.action - chunk.mean)[found.step + k, column]
+        at = np.array(first) + k, row
+        noise = before["action"][at] - before["mean"][at]
         seen = torch.as_tensor(env.observe(new_observations(len(found))))
         with torch.no_grad():
             env.step(policy(seen).numpy() + noise, Thresholds(0.0, 0.0, 0.0))
