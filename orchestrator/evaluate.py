@@ -38,7 +38,7 @@ from orchestrator.evaluation.grid import FAILURES, KEPT, evaluate
 from orchestrator.evaluation.pools import LocalPool, of_cluster, within_run
 from orchestrator.evaluation.subject import load_file, load_newest
 from orchestrator.saved import load_file as load_checkpoint
-from orchestrator.settings import complete, config_folder, load
+from orchestrator.settings import complete, load, shipped_policies
 from orchestrator.tasks import TaskGrid
 from workers.library import build_library
 
@@ -88,7 +88,7 @@ def locate(where):
         return where, where.with_name(f"{where.stem}-evaluation")
     if where.is_dir():
         return where, where
-    shipped = {path.stem: path for path in sorted((config_folder() / "policies").glob("*.pt"))}
+    shipped = shipped_policies()
     if str(where) in shipped:
         return shipped[str(where)], Path("runs", f"{where}-evaluation")
     what = "checkpoint" if where.suffix == ".pt" else "folder"

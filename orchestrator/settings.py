@@ -41,6 +41,11 @@ def config_folder():
     return Path(__file__).resolve().parent.parent / "configs"
 
 
+def shipped_policies():
+    """{name: file} of the policies that come with Segue."""
+    return {path.stem: path for path in sorted((config_folder() / "policies").glob("*.pt"))}
+
+
 def command_line(arguments):
     """The `Layer` of key=value arguments; values are YAML. InputError for an argument without `=`."""
     values = {}
@@ -204,7 +209,13 @@ def to_config(values, what):
 
 
 def absolute_paths(config):
-    """The configuration with paths that do not depend on the working directory, which differs between processes."""
+    """The configuration with paths that do not depend on the working directory, which differs between processes.
+
+    start.checkpoint may be the name of a policy that comes with Segue, if nothing here has that name.
+    """
+    begins = config.start.checkpoint
+    if begins in shipped_policies() and not os.path.exists(begins):
+        config.start.checkpoint = str(shipped_policies()[begins])
     for holder, name in ((config, "out"), (config.motions, "dir"), (config.start, "checkpoint")):
         value = getattr(holder, name)
         if value:

@@ -5,6 +5,7 @@ from pathlib import Path
 from motion.errors import InputError
 from orchestrator import saved
 from orchestrator.curriculum import CurriculumState, final_tightenings
+from orchestrator.settings import shipped_policies
 from orchestrator.validate import disagreement
 
 # Keys that give the networks' sizes and their numbers' meaning
@@ -39,7 +40,10 @@ def _read(config):
     else:
         source, path = (saved.load_file(place), place) if place.exists() else (None, None)
     if source is None:
-        raise InputError(f"start.checkpoint={place}: no checkpoint there; give a run's folder or a file in it")
+        raise InputError(
+            f"start.checkpoint={place}: no checkpoint there; give a run's folder, a file in it or a policy that comes "
+            f"with Segue ({', '.join(shipped_policies())})"
+        )
     meaning, learner = _MEANING, source["parts"][0]
     learned = config.arrival.weight and config.arrival.physics == "learned"
     if learned and learner and learner.get("dynamics"):  # its learned physics goes on, too

@@ -122,7 +122,7 @@ RULES = {
     "pipeline_depth": choice(0, 1),
     "budget.samples": at_least(1),
     "budget.iterations": at_least(1),
-    "start.checkpoint": ("the path of a checkpoint or of a run's folder", lambda v: v.strip() != ""),
+    "start.checkpoint": ("the path of a checkpoint, of a run's folder or of a policy", lambda v: v.strip() != ""),
     "start.tightenings": at_least(0),
     "curriculum.start": every(above(0), 3),
     "curriculum.floor": every(above(0), 3),

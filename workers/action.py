@@ -80,7 +80,7 @@ def control(pd_target, qpos, out):
         out[dof], out[dof + 1], out[dof + 2] = x, y, z
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def act_batch(action, mode, scale, qpos, target_qpos, pd_target, ctrl):
     """PD targets (N, 31) and actuator targets ctrl (N, 31) of actions (N, 31), for poses and targets (N, 47)."""
     for i in range(action.shape[0]):

@@ -5,6 +5,9 @@ MuJoCo has no backward pass; on soles (`physics.sole`) it is smooth enough for d
 velocities as qvel has them, one at a time, and so is each of the action's 31 numbers; all are stepped side by side.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
+
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numba import njit
@@ -31,10 +34,10 @@ from workers.observation import OBSERVATION_SIZE, observe
 TANGENT = 2 * NV
 SIZE = 1e-4  # m, rad, m/s, rad/s, rad of PD target: 1e-3 and 1e-5 agree with it to 4 and 1 %
 _SEEN_SIZE = 1e-6  # of what is observed, which is smooth and exact
-_ROWS = 2048  # simulations side by side, at most
+_ROWS = 1024  # simulations that a thread steps side by side, at most
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _turn(qpos, start, axis, size):
     x, y, z = size * (axis == 0), size * (axis == 1), size * (axis == 2)
     q = multiply(quaternion_at(qpos, start), exponential(x, y, z))
@@ -42,7 +45,7 @@ def _turn(qpos, start, axis, size):
         qpos[start + c] = q[c]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def push(qpos, qvel, coordinate, size):
     """Change one tangent coordinate (0 to 73) of the pose qpos (47,), qvel (37,), in place."""
     if coordinate >= NV:
@@ -61,7 +64,7 @@ def push(qpos, qvel, coordinate, size):
                     _turn(qpos, JOINT_QPOS[joint], axis, size)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def difference(qpos, qvel, other_qpos, other_qvel, out):
     """Tangent coordinates out (74,) that lead from one pose to another near it; the inverse of `push`."""
     for c in range(3):
@@ -78,7 +81,7 @@ def difference(qpos, qvel, other_qpos, other_qvel, out):
         out[NV + i] = other_qvel[i] - qvel[i]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _push_rows(qpos, qvel, action, columns, per_unit):
     """Row i: column columns[i] of (74 tangent coordinates, 31 numbers of the action) pushed; -1: none."""
     for i in range(len(columns)):
@@ -88,7 +91,7 @@ def _push_rows(qpos, qvel, action, columns, per_unit):
             push(qpos[i], qvel[i], columns[i], SIZE)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _differences(qpos, qvel, per_state, per_unit, columns, out):
     """out (M, 74, per_state - 1): derivatives of M states, each a row without a push followed by its pushed rows."""
     change = np.empty(TANGENT)
@@ -101,7 +104,7 @@ def _differences(qpos, qvel, per_state, per_unit, columns, out):
                 out[m, c, k - 1] = change[c] / size
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _observe_differences(qpos, qvel, target_qpos, target_qvel, own, out):
     bodies, moved, rotations = np.empty((NUM_BODIES, 3)), np.empty((NUM_BODIES, 3)), np.empty((NUM_BODIES, 4))
     target_bodies = np.empty((NUM_BODIES, 3))
@@ -122,24 +125,16 @@ def _observe_differences(qpos, qvel, target_qpos, target_qvel, own, out):
                 out[m, i, c] = (end[i] - rest[i]) / size
 
 
-def observed(qpos, qvel, target_qpos, target_qvel, difference_encoding):
-    """(M, 282, 74) float32: derivatives of s_t of poses (M, 47), (M, 37) with targets likewise.
-
-    difference_encoding: whether `observation.target` is `difference`.
-    """
-    out = np.empty((len(qpos), OBSERVATION_SIZE, TANGENT), dtype=np.float32)
-    _observe_differences(qpos, qvel, target_qpos, target_qvel, difference_encoding, out)
-    return out
-
-
 class Derivatives:
-    """Those of a policy step, simulated on `threads` threads. A row's numbers depend on nothing but the row."""
+    """Those of a policy step and of the state, on `threads` threads. A row's numbers depend on nothing but the row."""
 
     def __init__(self, config, threads):
         """config: `workers.config.EnvConfig`."""
-        self._config = config
-        self._batch = Batch(build_model(config.physics), _ROWS, threads)
-        self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        self._config, self._own = config, config.observation.target == "difference"
+        # a simulation and the Python around another's side by side: one batch for each thread, not threads for a batch
+        self._pool, self._batches = ThreadPoolExecutor(threads), SimpleQueue()
+        for _ in range(threads):
+            self._batches.put(Batch(build_model(config.physics), _ROWS, 1))
 
     def of(self, physics, action, target_qpos, by_state=True):
         """(M, 74, 105) float32: the next state's tangent coordinates by this one's (74) and by the action's (31).
@@ -149,28 +144,44 @@ class Derivatives:
         explodes there are numbers that are not finite.
         """
         columns = np.arange(-1 if by_state else TANGENT - 1, TANGENT + NUM_DOF)
-        if not by_state:
-            columns[0] = -1
+        columns[0] = -1
         found = np.empty((len(physics), TANGENT, len(columns) - 1), dtype=np.float32)
-        at_once = _ROWS // len(columns)
-        for first in range(0, len(physics), at_once):
-            part = slice(first, first + at_once)
-            self._some(physics[part], action[part], target_qpos[part], columns, found[part])
+
+        def some(part):
+            batch = self._batches.get()
+            try:
+                self._some(batch, physics[part], action[part], target_qpos[part], columns, found[part])
+            finally:
+                self._batches.put(batch)
+
+        self._in_parts(some, len(physics), _ROWS // len(columns))
         return found
 
-    def _some(self, physics, action, target_qpos, columns, out):
+    def observed(self, qpos, qvel, target_qpos, target_qvel):
+        """(M, 282, 74) float32: s_t by the state, for poses (M, 47), (M, 37) with targets likewise."""
+        out = np.empty((len(qpos), OBSERVATION_SIZE, TANGENT), dtype=np.float32)
+
+        def some(part):
+            _observe_differences(qpos[part], qvel[part], target_qpos[part], target_qvel[part], self._own, out[part])
+
+        self._in_parts(some, len(qpos), 16)
+        return out
+
+    def _in_parts(self, some, count, at_once):
+        list(self._pool.map(some, [slice(first, first + at_once) for first in range(0, count, at_once)]))
+
+    def _some(self, batch, physics, action, target_qpos, columns, out):
         mode, scale = MODES[self._config.action.mode], self._config.action.scale
         per_state, rows = len(columns), len(physics) * len(columns)
-        ids = np.arange(rows)
-        self._batch.state[:rows] = np.repeat(physics, per_state, axis=0)
-        qpos, qvel, ctrl = self._qpos[:rows], self._qvel[:rows], self._ctrl[:rows]
+        batch.state[:rows].reshape(len(physics), per_state, -1)[:] = physics[:, None]
+        qpos, qvel, ctrl = (batch.bind(name)[:rows] for name in ("qpos", "qvel", "ctrl"))
         acted, pushed = np.repeat(action.astype(np.float64), per_state, axis=0), np.tile(columns, len(physics))
         _push_rows(qpos, qvel, acted, pushed, 1.0 / scale)
         act_batch(acted, mode, scale, qpos, np.repeat(target_qpos, per_state, axis=0), np.empty_like(acted), ctrl)
-        self._batch.warning[:] = 0
+        batch.warning[:] = 0
         try:
-            self._batch.step(ids, nstep=self._config.physics.substeps)
+            batch.step(np.arange(rows), nstep=self._config.physics.substeps)
         except SimulationError as error:
             qvel[error.ids] = np.nan
-        qvel[self._batch.warning[:rows, DIVERGED, 1].any(axis=1)] = np.nan
+        qvel[batch.warning[:rows, DIVERGED, 1].any(axis=1)] = np.nan
         _differences(qpos, qvel, per_state, 1.0 / scale, pushed, out)

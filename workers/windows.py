@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from workers.counter_random import DERIVATIVES, fill_normal, uniforms
-from workers.derivatives import TANGENT, Derivatives, observed
+from workers.derivatives import TANGENT, Derivatives
 from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
 from workers.kinematics import NUM_DOF
@@ -57,7 +57,6 @@ class Scouts:
             self._derivatives.of(played["physics"][now], played["action"][now], target[0], by_state=k > 0)
             for k, now in enumerate(at[:-1])
         ]
-        own = config.observation.target == "difference"
         made = Windows(
             environment=environment[rows],
             limits=limits[rows].astype(np.float32),
@@ -66,7 +65,7 @@ class Scouts:
             by_action=_stack([part[:, :, -NUM_DOF:] for part in parts], len(rows), TANGENT, NUM_DOF),
             by_state=_stack([part[:, :, :TANGENT] for part in parts[1:]], len(rows), TANGENT, TANGENT),
             seen=_stack(
-                [observed(played["qpos"][now], played["qvel"][now], *target, own) for now in at[1:]],
+                [self._derivatives.observed(played["qpos"][now], played["qvel"][now], *target) for now in at[1:]],
                 len(rows), OBSERVATION_SIZE, TANGENT,
             ),
         )  # fmt: skip

@@ -202,6 +202,14 @@ def test_its_path_does_not_depend_on_the_working_folder(tmp_path, monkeypatch):
     assert build([command_line(["start.checkpoint=runs/a"])]).start.checkpoint == str(tmp_path / "runs/a")
 
 
+def test_a_policy_that_comes_with_segue_has_a_name_unless_something_here_has_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = build([command_line(["start.checkpoint=builtin"])]).start.checkpoint
+    assert Path(found) == Path(__file__).parents[2] / "configs/policies/builtin.pt"
+    (tmp_path / "builtin").mkdir()
+    assert build([command_line(["start.checkpoint=builtin"])]).start.checkpoint == str(tmp_path / "builtin")
+
+
 def test_learned_physics_of_another_size_is_refused_and_left_out_where_none_is_learned(configure, tmp_path):
     train(configure(**{"arrival.weight": 0.1, "arrival.steps": 2, "arrival.hidden": [16]}), tmp_path)
     changed = {"arrival.weight": 0.1, "arrival.steps": 2, "arrival.hidden": [8]}

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from workers.action import MODES, act_batch
-from workers.derivatives import TANGENT, Derivatives, difference, observed, push
+from workers.derivatives import TANGENT, Derivatives, difference, push
 from workers.environment import Environment, new_observations
 from workers.humanoid import build_model
 from workers.inference import PolicyNetwork
@@ -139,11 +139,12 @@ def test_where_a_simulation_explodes_numbers_are_not_finite_and_the_others_are(s
     np.testing.assert_array_equal(np.delete(found, 2, axis=0), np.delete(whole, 2, axis=0))
 
 
-@pytest.mark.parametrize("encoding", (False, True))
-def test_what_is_observed_changes_as_the_scalar_observation_does(model, random_poses, encoding):
+@pytest.mark.parametrize("encoding", ("absolute", "difference"))
+def test_what_is_observed_changes_as_the_scalar_observation_does(model, random_poses, make_config, encoding):
     qpos, qvel = random_poses(3, seed=1)
     target_qpos, target_qvel = random_poses(3, seed=2)
-    found = observed(qpos, qvel, target_qpos, target_qvel, encoding)
+    derivatives = Derivatives(make_config({"observation.target": encoding}), 2)
+    found = derivatives.observed(qpos, qvel, target_qpos, target_qvel)
     for m in range(3):
         for column in range(0, TANGENT, 5):
             ends = []
@@ -151,6 +152,6 @@ def test_what_is_observed_changes_as_the_scalar_observation_does(model, random_p
                 change = np.zeros(TANGENT)
                 change[column] = sign * SIZE
                 pose = integrated(model, qpos[m], change[:NV]), qvel[m] + change[NV:]
-                ends.append(reference.observation(*pose, target_qpos[m], target_qvel[m], encoding))
+                ends.append(reference.observation(*pose, target_qpos[m], target_qvel[m], encoding == "difference"))
             expected = (ends[0] - ends[1]) / (2 * SIZE)
             np.testing.assert_allclose(found[m, :, column], expected, atol=2e-4, rtol=1e-3)

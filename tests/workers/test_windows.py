@@ -10,7 +10,7 @@ import reference
 from orchestrator.curriculum import final_tightenings
 from workers import windows
 from workers.counter_random import DERIVATIVES, TASK, uniforms
-from workers.derivatives import Derivatives, observed
+from workers.derivatives import Derivatives
 from workers.planner import draw_task
 from workers.rollout import Rollout
 from workers.types import Thresholds, concatenate_windows
@@ -87,7 +87,7 @@ def test_they_end_at_the_nearest_step_of_episodes_that_go_past_their_arrival(lib
         np.testing.assert_array_equal(found.by_state[m], of_all[1:, :, :74])
         np.testing.assert_array_equal(found.by_action[m], of_all[:, :, 74:])
         after = slice(first + 1, first + STEPS + 1)
-        seen = observed(played["qpos"][after, row], played["qvel"][after, row], *target, False)
+        seen = derivatives.observed(played["qpos"][after, row], played["qvel"][after, row], *target)
         np.testing.assert_array_equal(found.seen[m], seen)
 
 
