@@ -1,13 +1,14 @@
-"""Does the learned physics know what a push does to the arrival? For runs with `arrival.weight`.
+"""Does the physics of the descent at arrival know what a push does there? For runs with `arrival.weight`.
 
     python -m benchmarks.foresight RUN [--tasks 30] [--pushes 255] [--seed 0] [--json] [key=value ...]
 
 The newest checkpoint's policy plays tasks of the run's grid with exploration noise. Every task is played again with
-one more draw of that noise added to the actions of one step; the network of `learner.dynamics` follows the same pushes
-along the trajectory that was observed, through the policy's corrections, as `learner.arrival` does. Printed, for pushes
-k steps before the nearest approach: how far they moved the root there (mm, root mean square), and the correlation of
-what the simulator and the network say they changed at that step: of the root's place, the key bodies and the joints'
-rotations, all less the target's. 1: the descent's gradient is that of physics; 0: it is noise.
+one more draw of that noise added to the actions of one step; what `arrival.physics` is, the network of
+`learner.dynamics` or simulated derivatives, follows the same pushes along the trajectory that was observed, through the
+policy's corrections, as `learner.arrival` does. Printed, for pushes k steps before the nearest approach: how far they
+moved the root there (mm, root mean square), and the correlation of what the simulator and that physics say they changed
+at that step: of the root's place, the key bodies and the joints' rotations, all less the target's. 1: the descent's
+gradient is that of physics; 0: it is noise.
 """
 
 import json
@@ -17,10 +18,12 @@ import numpy as np
 import torch
 
 from benchmarks.limits import NEVER, command_line, opened
+from learner.encoding import split
 from learner.state import LearnerState
 from motion.errors import InputError
 from orchestrator import saved
 from orchestrator.tasks import TaskGrid
+from workers.derivatives import TANGENT, Derivatives
 from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
 from workers.kinematics import NUM_DOF
@@ -45,8 +48,9 @@ def main():
     torch.set_num_threads(1)
     config, _, machine = opened(parser, options)
     content, _ = saved.load_latest(options.run, config)
-    if not (config.arrival.weight and content["parts"][0].get("dynamics")):
-        parser.error(f"{options.run}: its learner has no learned physics; train with arrival.weight=0.05")
+    learned = config.arrival.physics == "learned"
+    if not config.arrival.weight or (learned and not content["parts"][0].get("dynamics")):
+        parser.error(f"{options.run}: trained without the descent at arrival; train with arrival.weight=0.05")
     state = LearnerState(config, config.seed)
     try:
         state.load_state_dict(content["parts"][0])
@@ -64,7 +68,7 @@ def main():
 def measure(config, state, policy, cuts, library, tasks, pushes, seed):
     """{k: {pushes, mm, root, keys, joints}}; see the module's docstring.
 
-    state: `LearnerState` with dynamics. policy: `workers.types.Policy` that acts, the learner's of now. cuts: how many
+    state: `LearnerState` of the run. policy: `workers.types.Policy` that acts, the learner's of now. cuts: how many
     tightenings the run has had, on which exploration noise depends. tasks: how many. pushes: per task.
     """
     rng = np.random.default_rng(seed)
@@ -72,6 +76,7 @@ def measure(config, state, policy, cuts, library, tasks, pushes, seed):
     numbers = rng.choice(len(grid), size=min(tasks, len(grid)), replace=False)
     deviation = math.exp(float(policy.exploring_log_sigma(np.array([cuts]))[0]))
     follower = Follower(config, library, policy, pushes + 1)
+    simulated = Differences(config, follower) if config.arrival.physics == "simulated" else None
     changed = {}
     for number in numbers:
         task = grid.tasks([number])[0]
@@ -80,9 +85,13 @@ def measure(config, state, policy, cuts, library, tasks, pushes, seed):
         when = rng.integers(nearest + 1, size=pushes)
         noise[when, 1 + np.arange(pushes)] += rng.normal(0.0, deviation, (pushes, NUM_DOF))
         pushed, _, _ = follower.play(task, noise)
-        ends = relative(state, torch.as_tensor(pushed[nearest + 1]))
+        ends = relative(config, torch.as_tensor(pushed[nearest + 1]))
         true = ends[1:] - ends[:1]  # the first has no push
-        said = foreseen(state, observations[:, 0], actions[:, 0], noise[:, 1:] - noise[:, :1], nearest)
+        more = noise[:, 1:] - noise[:, :1]
+        if simulated:
+            said = simulated.foreseen(state, observations[:, 0], actions[:, 0], more, nearest)
+        else:
+            said = foreseen(state, observations[:, 0], actions[:, 0], more, nearest)
         for k in range(nearest + 1):
             rows = nearest - when == k
             changed.setdefault(k, []).append((true[rows].numpy(), said[rows].numpy()))
@@ -103,6 +112,12 @@ class Follower:
         self._env, self._n = Environment(config, library, simulations), simulations
         self._network = PolicyNetwork(policy, simulations)
         self._final = np.array(config.curriculum.floor)
+        self.physics, self.poses = [], []  # of the first simulation, before every step of the last play and at its end
+
+    @property
+    def target(self):
+        """(qpos (47,), qvel (37,)) of the task played last."""
+        return self._env.target_qpos[0], self._env.target_qvel[0]
 
     def play(self, task, noise):
         """(observations (H + 1, N, 282), actions (H, N, 31), step of the first row's nearest approach), no end."""
@@ -110,13 +125,44 @@ class Follower:
         env.task[:] = task
         env.begin(np.arange(self._n))
         observations, actions = new_observations(steps + 1, self._n), np.empty(noise.shape, dtype=np.float32)
-        left = np.empty(steps)
+        left, self.physics, self.poses = np.empty(steps), [], []
+
+        def keep():
+            self.physics.append(env.physics[0].copy())
+            self.poses.append((env.qpos[0].copy(), env.qvel[0].copy()))
+
         for t in range(steps):
+            keep()
             actions[t] = self._network.mean(env.observe(observations[t])) + noise[t]
             env.step(actions[t], NEVER)
             left[t] = (env.deviations[0, [RP, KP, Q]] / self._final).max()
         env.observe(observations[steps])
+        keep()
         return observations, actions, int(left.argmin())
+
+
+class Differences:
+    """What simulated derivatives foresee of the first simulation of a `Follower`'s last play."""
+
+    def __init__(self, config, follower):
+        self._config, self._follower, self._derivatives = config, follower, Derivatives(config, 1)
+
+    @torch.no_grad()
+    def foreseen(self, state, observations, actions, pushes, nearest):
+        """As `foreseen` below, by derivatives of physics."""
+        played, steps = self._follower, nearest + 1
+        target = [np.tile(array, (steps, 1)) for array in played.target]
+        of_all = torch.as_tensor(self._derivatives.of(np.array(played.physics[:steps]), actions[:steps], target[0]))
+        after = [np.array(arrays) for arrays in zip(*played.poses[1 : steps + 1])]
+        seen_by = torch.as_tensor(self._derivatives.observed(*after, *target))
+        seen = torch.as_tensor(observations)
+        tangent, followed = torch.zeros(TANGENT, pushes.shape[1]), seen[:1].expand(pushes.shape[1], -1)
+        for t in range(steps):
+            corrections = state.policy(state.observations(followed)) - state.policy(state.observations(seen[t : t + 1]))
+            changed = corrections + torch.as_tensor(pushes[t], dtype=torch.float32)
+            tangent = of_all[t, :, :TANGENT] @ tangent + of_all[t, :, TANGENT:] @ changed.T
+            followed = seen[t + 1] + (seen_by[t] @ tangent).T
+        return relative(self._config, followed) - relative(self._config, seen[nearest + 1 : nearest + 2])
 
 
 @torch.no_grad()
@@ -134,12 +180,12 @@ def foreseen(state, observations, actions, pushes, nearest):
         corrections = state.policy(state.observations(followed)) - state.policy(state.observations(here))
         action = acted[t] + corrections + torch.as_tensor(pushes[t], dtype=torch.float32)
         followed = state.dynamics.step(followed, action) + missing
-    return relative(state, followed) - relative(state, seen[nearest + 1 : nearest + 2])
+    return relative(state.config, followed) - relative(state.config, seen[nearest + 1 : nearest + 2])
 
 
-def relative(state, observation):
+def relative(config, observation):
     """p_tar (B, 142) of s_t (B, 282) less p_t but for the root's place, which is relative already."""
-    pose, target = state.dynamics.split(observation)
+    pose, target = split(observation, config.observation.target == "difference")
     return torch.cat([target[:, :3], target[:, 3:] - pose[:, 1:]], dim=1)
 
 

@@ -50,6 +50,17 @@ def test_what_was_learned_of_other_steps_is_foreseen(subject, lessons):
     assert measure(*subject)[0]["joints"] > max(0.4, before + 0.3)
 
 
+def test_simulated_derivatives_foresee_what_is_far_too_much_for_the_network(make_config, subject):
+    """Small pushes on soles, through the policy's corrections."""
+    config = make_config({**SETTINGS, "arrival.physics": "simulated", "policy.log_sigma": -6.0})
+    state = LearnerState(config, 1)
+    policy = snapshot(state.policy, None, state.observations, config.policy, config.action.scale, 0)
+    rows = measure(config, state, policy, *subject[3:])
+    assert sum(row["pushes"] for row in rows.values()) == 3 * 40
+    for k in range(4):
+        assert min(rows[k][name] for name in ("root", "keys", "joints")) > 0.9
+
+
 def test_without_pushes_nothing_is_foreseen(subject):
     config, state, policy, cuts, library, *_ = subject
     follower = foresight.Follower(config, library, policy, 4)
