@@ -1,11 +1,9 @@
 """Descent of what is left to the target at arrival, through the physics of the last steps (not in the paper).
 
 PPO learns from one number per episode; the pose that it came to says in all its numbers how to correct. Of episodes
-that came near their target, the last K steps before they were nearest are followed again: the policy of now, at the
-states and with the noise of then, and what physics makes of its changes. Values are those that were observed,
-derivatives those of a network (`learner.learned_windows`) or of physics itself (`learner.simulated_windows`): a
-stochastic value gradient (Heess et al., "Learning continuous control policies by stochastic value gradients", 2015) of
-what is left, by what an action does and by what later actions make of it.
+that came near their target, the last K steps before they were nearest are looked at again. Values are those that were
+observed; what changes of the policy would have changed is told by a network (`learner.learned_windows`) or by physics
+itself (`learner.simulated_windows`), by what an action does and by what later actions make of it.
 """
 
 import torch
@@ -13,9 +11,6 @@ import torch
 from learner.learned_windows import LearnedWindows
 from learner.simulated_windows import SimulatedWindows
 from learner.state import ARRIVALS
-from workers.windows import NEAR
-
-_POWER = 4  # of the norm that stands for the largest of the three deviations
 
 
 class Arrival:
@@ -36,15 +31,10 @@ class Arrival:
             return None, self._metrics
         state, config = self._state, self._state.config.arrival
         chosen = self._random.integers(len(self._windows), size=config.batch_size)
-        loss = self._loss(chosen)
+        loss = self._windows.loss(chosen)
         parameters = list(state.policy.parameters())
         found = torch.autograd.grad(loss, parameters)
         norm = torch.sqrt(sum((gradient**2).sum() for gradient in found))
         factor = config.weight * (state.config.ppo.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
         metrics = {**self._metrics, "loss/arrival": loss.detach(), "gradient/arrival": norm}
         return [factor * gradient for gradient in found], metrics
-
-    def _loss(self, chosen):
-        """Mean over the windows chosen (B,) of the largest deviation at arrival, in thresholds, cut off at NEAR."""
-        ratio = self._windows.arrive(chosen)
-        return ((ratio**_POWER).sum(dim=1) + 1e-6).pow(1 / _POWER).clamp(max=NEAR).mean()

@@ -1,36 +1,94 @@
-"""Windows before nearest approaches, followed by the derivatives of physics that their worker simulated.
+"""Windows before nearest approaches, corrected by the derivatives of physics that their worker simulated, and cloned.
 
-The policy of now, less the one that acted, changes an action; that changes the next state, in its tangent coordinates,
-and that the policy's next action. To first order: exact where the policy is still the one that acted.
+Of every window the actions of its K steps are corrected: by the least changes that bring its end nearer to the target,
+as far as physics is linear and with what the policy makes of them at later steps (a Gauss-Newton step with
+Levenberg-Marquardt damping). The policy is then drawn towards the corrected actions, as SBC draws it towards
+demonstrated ones (Eq. 17).
 """
+
+import math
 
 import torch
 
-from learner.encoding import deviations, split
+from learner.encoding import deviations, residuals, split
+from learner.ppo import log_probability
 
 
 class SimulatedWindows:
-    """The `workers.types.Windows` of a chunk for a `LearnerState`. metrics: none."""
+    """The `workers.types.Windows` of a chunk for a `LearnerState`, corrected.
 
-    metrics = {}
+    wanted: (M, K, 31), what the policy's output should have been. metrics: `arrival/left`, mean over the windows of the
+    largest deviation at their end, in thresholds.
+    """
 
     def __init__(self, state, chunk):
-        self._state, self._count = state, len(chunk.windows)
-        self._difference = state.config.observation.target == "difference"
-        names = ("limits", "observation", "mean", "by_action", "by_state", "seen")
-        self._tensors = {name: torch.as_tensor(getattr(chunk.windows, name), device=state.device) for name in names}
+        self._state, windows, device = state, chunk.windows, state.device
+        self._observation, self._mean = (
+            torch.as_tensor(array, device=device) for array in (windows.observation, windows.mean)
+        )
+        config = state.config
+        self._difference = config.observation.target == "difference"
+        noise = math.exp(config.policy.judge_log_sigma) / config.action.scale  # in units of the policy's output
+        self._sigma = torch.full([1], noise, device=device)
+        self.wanted, self.metrics = self._mean, {"arrival/left": 0.0}
+        if not len(windows):
+            return
+        with torch.no_grad():
+            limits = torch.as_tensor(windows.limits, device=device)
+            left = deviations(*split(self._observation[:, -1], self._difference)) / limits
+            self.metrics["arrival/left"] = left.amax(dim=1).mean().item()
+            deviation = config.arrival.correction / config.action.scale
+            self.wanted = self._mean + corrections(*self._end(windows, limits), deviation)
 
     def __len__(self):
-        return self._count
+        return len(self._mean)
 
-    def arrive(self, chosen):
-        """d^rp, d^kp and d^q at the end of the windows chosen (B,), in thresholds, (B, 3)."""
+    def _end(self, windows, limits):
+        """(residuals (M, R) at the windows' ends, in thresholds; their derivatives (M, R, K, 31) by the actions)."""
+        count, steps, size = self._mean.shape
+        by_action, by_state, seen = (
+            torch.as_tensor(array, device=self._state.device)
+            for array in (windows.by_action, windows.by_state, windows.seen)
+        )
+        moved = None  # (M, 74, k * 31): the state before step k by the actions so far
+        for k in range(steps):
+            if k:
+                # a state that is pushed is seen by the policy, whose output changes, too
+                seen_by_policy = self._policy_by_observation(self._observation[:, k]) @ seen[:, k - 1]
+                moved = (by_state[:, k - 1] + by_action[:, k] @ seen_by_policy) @ moved
+            moved = by_action[:, k] if moved is None else torch.cat([moved, by_action[:, k]], dim=2)
+
+        def end(observation, limit):
+            return residuals(*split(observation[None], self._difference), limit[None])[0]
+
+        last = self._observation[:, -1]
+        by_observation = torch.func.vmap(torch.func.jacrev(end))(last, limits)
+        residual = residuals(*split(last, self._difference), limits)
+        return residual, (by_observation @ (seen[:, -1] @ moved)).reshape(count, -1, steps, size)
+
+    def _policy_by_observation(self, observation):
+        """(M, 31, 282), of observations (M, 282)."""
+        state = self._state
+        return torch.func.vmap(torch.func.jacrev(lambda one: state.policy(state.observations(one))))(observation)
+
+    def loss(self, chosen):
+        """Mean over the windows chosen (B,) of minus the log likelihood of their wanted actions, up to a constant."""
         chosen = torch.as_tensor(chosen, device=self._state.device)
-        limits, recorded, mean, by_action, by_state, seen = (tensor[chosen] for tensor in self._tensors.values())
-        observation, tangent = recorded[:, 0], None
-        for k in range(mean.shape[1]):
-            change = self._state.policy(self._state.observations(observation)) - mean[:, k]
-            carried = 0.0 if tangent is None else by_state[:, k - 1] @ tangent
-            tangent = carried + by_action[:, k] @ change[:, :, None]
-            observation = recorded[:, k + 1] + (seen[:, k] @ tangent)[:, :, 0]
-        return deviations(*split(observation, self._difference)) / limits
+        steps = self._mean.shape[1]
+        given, wanted = self._observation[chosen, :steps].flatten(0, 1), self.wanted[chosen].flatten(0, 1)
+        mean = self._state.policy(self._state.observations(given))
+        return -log_probability(wanted, mean, self._sigma).mean() * steps
+
+
+def corrections(residual, by_actions, deviation):
+    """Changes (M, K, 31) of actions that minimise |residual + what they change|^2 + |changes|^2 / deviation^2.
+
+    residual: (M, R), by_actions: (M, R, K, 31), its derivatives. deviation: of corrections that cost as much as a
+    residual of one.
+    """
+    count, rows, steps, size = by_actions.shape
+    jacobian = by_actions.reshape(count, rows, -1).double()
+    square = jacobian @ jacobian.transpose(1, 2)
+    square = square + torch.eye(rows, dtype=square.dtype, device=square.device) / deviation**2
+    found = -jacobian.transpose(1, 2) @ torch.linalg.solve(square, residual.double()[:, :, None])
+    return found.reshape(count, steps, size).to(residual.dtype)

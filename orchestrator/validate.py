@@ -102,6 +102,7 @@ RULES = {
     "arrival.physics": choice("learned", "simulated"),
     "arrival.share": PROBABILITY,
     "arrival.lead": at_least(0),
+    "arrival.correction": above(0),
     "arrival.steps": at_least(1),
     "arrival.batch_size": at_least(1),
     "arrival.hidden": every(at_least(1)),

@@ -135,6 +135,8 @@ class ArrivalConfig:
     lead: int = 5
     """simulated: what is left is measured by the thresholds of so many tightenings on, which is where the root's place
     counts as much as the joints."""
+    correction: float = 0.05
+    """simulated: corrections of actions by so many radians weigh as much as what is left of one threshold."""
     steps: int = 5
     """K, how many steps before the nearest approach are followed again; episodes with fewer (learned: in a chunk) are
     left out."""

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from learner import arrival, learned_windows
-from learner.arrival import Arrival
+from learner import learned_windows
 from learner.batch import following as next_observations
 from learner.dynamics import Dynamics, moved
 from learner.encoding import deviations
@@ -119,9 +118,7 @@ def test_its_loss_is_what_was_left_if_the_policy_is_still_the_one_that_acted(les
     """Values are those that were observed, whatever the network has learned."""
     monkeypatch.setattr(learned_windows, "NEAR", 1e9)
     state = LearnerState(make_config(ON), 1)
-    monkeypatch.setattr(arrival, "NEAR", 1e9)
-    whole = Arrival(state, lessons[1])
-    found = whole._windows
+    found = LearnedWindows(state, lessons[1])
     network = found._mean
     monkeypatch.setattr(state, "policy", lambda inputs: network[rows.pop(0)])
     n = found._n
@@ -130,7 +127,7 @@ def test_its_loss_is_what_was_left_if_the_policy_is_still_the_one_that_acted(les
         rows = [slice(first, first + 1), slice(first + n, first + n + 1)]
         left = deviations(*state.dynamics.split(found._following[first + n : first + n + 1]))[0]
         ratio = (left / found._limits[chosen]).numpy()
-        assert whole._loss(np.array([chosen])).item() == pytest.approx((ratio**4).sum() ** 0.25, rel=1e-3)
+        assert found.loss(np.array([chosen])).item() == pytest.approx((ratio**4).sum() ** 0.25, rel=1e-3)
 
 
 @pytest.mark.parametrize("optimizer", ("adam", "kfac"))
