@@ -2,8 +2,9 @@
 
 Of every window the actions of its K steps are corrected: by the least changes that bring its end nearer to the target,
 as far as physics is linear and with what the policy makes of them at later steps (a Gauss-Newton step with
-Levenberg-Marquardt damping). The policy is then drawn towards the corrected actions, as SBC draws it towards
-demonstrated ones (Eq. 17).
+Levenberg-Marquardt damping). The policy is then moved along them, as SBC moves it towards demonstrated actions (Eq.
+17), but all steps of an update move it the same way: how far it has moved already is no reason to go back, as the mean
+correction is far smaller than that of a single window.
 """
 
 import math
@@ -11,14 +12,13 @@ import math
 import torch
 
 from learner.encoding import deviations, residuals, split
-from learner.ppo import log_probability
 
 
 class SimulatedWindows:
     """The `workers.types.Windows` of a chunk for a `LearnerState`, corrected.
 
-    wanted: (M, K, 31), what the policy's output should have been. metrics: `arrival/left`, mean over the windows of the
-    largest deviation at their end, in thresholds.
+    corrections: (M, K, 31), of the policy's output, the policy being that of now. metrics: `arrival/left`, mean over
+    the windows of the largest deviation at their end, in thresholds.
     """
 
     def __init__(self, state, chunk):
@@ -28,17 +28,20 @@ class SimulatedWindows:
         )
         config = state.config
         self._difference = config.observation.target == "difference"
-        noise = math.exp(config.policy.judge_log_sigma) / config.action.scale  # in units of the policy's output
-        self._sigma = torch.full([1], noise, device=device)
-        self.wanted, self.metrics = self._mean, {"arrival/left": 0.0}
+        self._sigma = math.exp(config.policy.judge_log_sigma) / config.action.scale  # in units of the policy's output
+        self.metrics = {"arrival/left": 0.0}
         if not len(windows):
             return
         with torch.no_grad():
             limits = torch.as_tensor(windows.limits, device=device)
             left = deviations(*split(self._observation[:, -1], self._difference)) / limits
             self.metrics["arrival/left"] = left.amax(dim=1).mean().item()
-            deviation = config.arrival.correction / config.action.scale
-            self.wanted = self._mean + corrections(*self._end(windows, limits), deviation)
+            self._given = state.observations(self._observation[:, :-1].flatten(0, 1))
+            residual, by_actions = self._end(windows, limits)
+            # where the policy of now would have come to: it may be an update newer than the one that acted
+            newer = state.policy(self._given).reshape(self._mean.shape) - self._mean
+            residual = residual + torch.einsum("mrkd,mkd->mr", by_actions, newer)
+            self.corrections = corrections(residual, by_actions, config.arrival.correction / config.action.scale)
 
     def __len__(self):
         return len(self._mean)
@@ -72,12 +75,12 @@ class SimulatedWindows:
         return torch.func.vmap(torch.func.jacrev(lambda one: state.policy(state.observations(one))))(observation)
 
     def loss(self, chosen):
-        """Mean over the windows chosen (B,) of minus the log likelihood of their wanted actions, up to a constant."""
+        """Of the windows chosen (B,): a number whose gradient is that of minus the mean log likelihood of their
+        corrected actions, where the policy is as it was when the update began."""
         chosen = torch.as_tensor(chosen, device=self._state.device)
-        steps = self._mean.shape[1]
-        given, wanted = self._observation[chosen, :steps].flatten(0, 1), self.wanted[chosen].flatten(0, 1)
-        mean = self._state.policy(self._state.observations(given))
-        return -log_probability(wanted, mean, self._sigma).mean() * steps
+        count, steps, size = self._mean.shape
+        mean = self._state.policy(self._given.reshape(count, steps, -1)[chosen])
+        return -(mean * self.corrections[chosen]).sum(dim=(1, 2)).mean() / self._sigma**2
 
 
 def corrections(residual, by_actions, deviation):
