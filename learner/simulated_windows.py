@@ -39,8 +39,8 @@ class SimulatedWindows:
             self._given = state.observations(self._observation[:, :-1].flatten(0, 1))
             residual, by_actions = self._end(windows, limits)
             # where the policy of now would have come to: it may be an update newer than the one that acted
-            newer = state.policy(self._given).reshape(self._mean.shape) - self._mean
-            residual = residual + torch.einsum("mrkd,mkd->mr", by_actions, newer)
+            self._begun = state.policy(self._given).reshape(self._mean.shape)
+            residual = residual + torch.einsum("mrkd,mkd->mr", by_actions, self._begun - self._mean)
             self.corrections = corrections(residual, by_actions, config.arrival.correction / config.action.scale)
 
     def __len__(self):
@@ -78,9 +78,9 @@ class SimulatedWindows:
         """Of the windows chosen (B,): a number whose gradient is that of minus the mean log likelihood of their
         corrected actions, where the policy is as it was when the update began."""
         chosen = torch.as_tensor(chosen, device=self._state.device)
-        count, steps, size = self._mean.shape
-        mean = self._state.policy(self._given.reshape(count, steps, -1)[chosen])
-        return -(mean * self.corrections[chosen]).sum(dim=(1, 2)).mean() / self._sigma**2
+        mean = self._state.policy(self._given.reshape(*self._mean.shape[:2], -1)[chosen])
+        done = (mean - self._begun[chosen]) * self.corrections[chosen]
+        return -done.sum(dim=(1, 2)).mean() / self._sigma**2
 
 
 def corrections(residual, by_actions, deviation):
