@@ -1,8 +1,9 @@
 """Episodes played beside a chunk for the descent at arrival, with derivatives of physics before their nearest approach.
 
 What `arrival.physics=simulated` learns from (`learner.simulated_windows`). These episodes act as in the evaluation,
-with its noise, and go on past their arrival, so that they show how near the figure comes; nobody else knows of them. A
-function of (policy, thresholds, seed, environments, clock) and of nothing before: there is no state to keep.
+with its noise, and go on past their arrival, so that they show how near the figure comes; their last steps are played
+again without noise. Nobody else knows of them. A function of (policy, thresholds, seed, environments, clock) and of
+nothing before: there is no state to keep.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from workers.counter_random import DERIVATIVES, fill_normal, uniforms
 from workers.derivatives import TANGENT, Derivatives
 from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
-from workers.kinematics import NUM_DOF
+from workers.kinematics import NUM_BODIES, NUM_DOF, forward_kinematics_batch
 from workers.observation import OBSERVATION_SIZE
 from workers.reward import KP, RP, Q
 from workers.types import FELL, Thresholds, Windows
@@ -43,32 +44,19 @@ class Scouts:
 
     def windows(self, policy, thresholds, environment, clock):
         """`Windows` of a policy beside the chunk that begins at `clock`; environment: (N,), indices in the run."""
-        config, steps = self._config, self._config.arrival.steps
-        environment = environment[drawn(self._seed, environment, clock, config.arrival.share)]
-        played = self._play(policy, environment, clock)
+        environment = environment[drawn(self._seed, environment, clock, self._config.arrival.share)]
+        network = PolicyNetwork(policy, self._env.num_envs)
+        left, physics = self._play(network, np.exp(policy.judge_log_sigma), environment, clock)
         limits = self._limits(thresholds, len(environment))
         with np.errstate(invalid="ignore"):
-            ratio = (played["left"] / limits).max(axis=2)
-        first = ratio.argmin(axis=0) - steps + 1
+            ratio = (left / limits).max(axis=2)
+        first = ratio.argmin(axis=0) - self._config.arrival.steps + 1
         rows = np.flatnonzero((ratio.min(axis=0, initial=np.inf) < NEAR) & (first >= 0))
-        at = [(first[rows] + k, rows) for k in range(steps + 1)]
-        target = [array[rows] for array in (self._env.target_qpos, self._env.target_qvel)]
-        parts = [
-            self._derivatives.of(played["physics"][now], played["action"][now], target[0], by_state=k > 0)
-            for k, now in enumerate(at[:-1])
-        ]
         made = Windows(
             environment=environment[rows],
             limits=limits[rows].astype(np.float32),
-            observation=_stack([played["observation"][now] for now in at], len(rows), OBSERVATION_SIZE),
-            mean=_stack([played["mean"][now] for now in at[:-1]], len(rows), NUM_DOF),
-            by_action=_stack([part[:, :, -NUM_DOF:] for part in parts], len(rows), TANGENT, NUM_DOF),
-            by_state=_stack([part[:, :, :TANGENT] for part in parts[1:]], len(rows), TANGENT, TANGENT),
-            seen=_stack(
-                [self._derivatives.observed(played["qpos"][now], played["qvel"][now], *target) for now in at[1:]],
-                len(rows), OBSERVATION_SIZE, TANGENT,
-            ),
-        )  # fmt: skip
+            **self._last_steps(network, physics[first[rows], rows], rows),
+        )
         fine = np.isfinite(made.by_action).all(axis=(1, 2, 3)) & np.isfinite(made.by_state).all(axis=(1, 2, 3))
         return made if fine.all() else made.take(np.flatnonzero(fine))
 
@@ -78,34 +66,54 @@ class Scouts:
         limits = thresholds.of(self._env.groups(thresholds, rows))[:, :3]
         return np.maximum(limits * curriculum.factor**self._config.arrival.lead, curriculum.floor)
 
-    def _play(self, policy, environment, clock):
-        """{name: what the first n rows did in H steps}: left (H, n, 3), infinite from a fall on; action and mean (H, n,
-        31); observation, physics, qpos and qvel (H + 1, n, ...), before each step and at the end."""
+    def _play(self, network, deviation, environment, clock):
+        """(deviations after each of H steps of the first n rows (H, n, 3), infinite from a fall on; physics before)."""
         env, n, steps = self._env, len(environment), self._config.task.time_limit
         rows, index = np.arange(n), np.zeros(self._env.num_envs, dtype=np.int64)
         index[:n] = environment
         env.end[:] = 0  # nobody has failed: all tasks are new
         env.plan(self._seed, index, np.full(env.num_envs, _EPISODES + clock), rows)
         env.begin(rows)
-        network, deviation = PolicyNetwork(policy, env.num_envs), np.exp(policy.judge_log_sigma)
-        kept = {name: [] for name in ("left", "action", "mean", "observation", "physics", "qpos", "qvel")}
+        left, physics = np.empty((steps, n, 3)), np.empty((steps, n, env.physics.shape[1]))
         noise, action = np.empty((n, NUM_DOF)), np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
         standing = np.ones(n, dtype=bool)
         for t in range(steps):
-            seen = env.observe(new_observations(n), rows)
-            mean = network.mean(seen).copy()
             fill_normal(self._seed, DERIVATIVES, environment, np.full(n, (clock << 16) + t), noise)
+            mean = network.mean(env.observe(new_observations(n), rows))
             action[:n] = mean + np.float32(deviation) * noise.astype(np.float32)
-            before = {"observation": seen, "mean": mean, "action": action[:n], "physics": env.physics[:n]}
-            for name, value in {**before, "qpos": env.qpos[:n], "qvel": env.qvel[:n]}.items():
-                kept[name].append(value.copy())
+            physics[t] = env.physics[:n]
             env.step(action, _NEVER, rows)
             standing &= env.end[:n] != FELL
-            kept["left"].append(np.where(standing[:, None], env.deviations[:n][:, [RP, KP, Q]], np.inf))
-        last = {"observation": env.observe(new_observations(n), rows), "qpos": env.qpos[:n], "qvel": env.qvel[:n]}
-        for name, value in last.items():
-            kept[name].append(value.copy())
-        return {name: np.array(values) for name, values in kept.items()}
+            left[t] = np.where(standing[:, None], env.deviations[:n][:, [RP, KP, Q]], np.inf)
+        return left, physics
+
+    def _last_steps(self, network, physics, rows):
+        """{name: array} of `Windows`, of the steps that follow on a state (M, nstate) in rows (M,), without noise: it
+        would only hide what the state's own corrections are."""
+        env, steps, count = self._env, self._config.arrival.steps, len(rows)
+        target = env.target_qpos[rows], env.target_qvel[rows]
+        env.physics[rows] = physics
+        bodies, rotations = np.empty((count, NUM_BODIES, 3)), np.empty((count, NUM_BODIES, 4))
+        forward_kinematics_batch(env.qpos[rows], bodies, rotations)
+        env.bodies[rows], action = bodies, np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
+        found = {name: [] for name in ("observation", "mean", "by_action", "by_state", "seen")}
+        found["observation"].append(env.observe(new_observations(count), rows))
+        for k in range(steps):
+            mean, before = network.mean(found["observation"][-1]).copy(), env.physics[rows]
+            derivatives = self._derivatives.of(before, mean, target[0], by_state=k > 0)
+            action[rows] = mean
+            env.step(action, _NEVER, rows)
+            found["observation"].append(env.observe(new_observations(count), rows))
+            found["mean"].append(mean)
+            found["by_action"].append(derivatives[:, :, -NUM_DOF:])
+            found["seen"].append(self._derivatives.observed(env.qpos[rows], env.qvel[rows], *target))
+            if k:
+                found["by_state"].append(derivatives[:, :, :TANGENT])
+        shapes = {
+            "observation": (OBSERVATION_SIZE,), "mean": (NUM_DOF,), "by_action": (TANGENT, NUM_DOF),
+            "by_state": (TANGENT, TANGENT), "seen": (OBSERVATION_SIZE, TANGENT),
+        }  # fmt: skip
+        return {name: _stack(parts, count, *shapes[name]) for name, parts in found.items()}
 
 
 def _stack(parts, count, *shape):

@@ -35,36 +35,37 @@ def everybody_is_near():
 
 @pytest.fixture(scope="module")
 def lesson(library, make_config, easy):
-    """(configuration, the chunk of the policy of seed 1, what its scouts played)."""
+    """(configuration, the chunk of the policy of seed 1, the states that its windows begin in, their targets)."""
     config = make_config(ON)
-    rollout = Rollout(config, library, N, config.horizon, seed=5)
-    state, policy = rollout.initial_state(0), LearnerState(config, 1).snapshot()
-    chunk, _ = rollout.collect(state, policy, easy)
-    assert len(chunk.windows) >= 20
-    return config, chunk, (rollout._scouts, rollout._scouts._play(policy, np.arange(N), 0))
+    rollout, kept = Rollout(config, library, N, config.horizon, seed=5), {}
+    scouts, last_steps = rollout._scouts, rollout._scouts._last_steps
+
+    def watched(network, physics, rows):
+        kept["states"] = physics.copy(), scouts._env.target_qpos[rows], scouts._env.target_qvel[rows]
+        return last_steps(network, physics, rows)
+
+    scouts._last_steps = watched
+    chunk, _ = rollout.collect(rollout.initial_state(0), LearnerState(config, 1).snapshot(), easy)
+    assert len(chunk.windows) == len(kept["states"][0]) >= 20
+    return config, chunk, kept["states"]
 
 
 def played(lesson, library, policy, changes=None):
-    """(d^rp, d^kp, d^q (M, 3) in thresholds, residuals (M, 60)) where each window ends if `policy` acts in it with the
-    noise of then and changes (M, K, 31) besides."""
-    config, chunk, (scouts, before) = lesson
-    found, row = chunk.windows, chunk.windows.environment
-    starts = zip(row, found.observation[:, 0])
-    first = [np.flatnonzero((before["observation"][:, i] == start).all(axis=1))[0] for i, start in starts]
+    """(d^rp, d^kp, d^q (M, 3) in thresholds, residuals (M, 60)) where each window ends if `policy` acts in it, with
+    changes (M, K, 31) of its outputs."""
+    config, chunk, (physics, *target) = lesson
+    found = chunk.windows
     env = Environment(config, library, len(found))
-    env.physics[:] = before["physics"][first, row]
-    env.target_qpos[:], env.target_qvel[:] = scouts._env.target_qpos[row], scouts._env.target_qvel[row]
+    env.physics[:] = physics
+    env.target_qpos[:], env.target_qvel[:] = target
     forward_kinematics_batch(env.qpos, env.bodies, env.rotations)
     forward_kinematics_batch(env.target_qpos, env.target_bodies, np.empty_like(env.rotations))
     for k in range(STEPS):
-        at = np.array(first) + k, row
-        noise = before["action"][at] - before["mean"][at]
-        if changes is not None:
-            noise = noise + changes[:, k]
         seen = torch.as_tensor(env.observe(new_observations(len(found))))
         with torch.no_grad():
             # the normalizer has seen nothing yet
-            env.step(policy(seen.clamp(-10.0, 10.0)).numpy() + noise, Thresholds(0.0, 0.0, 0.0))
+            action = policy(seen.clamp(-10.0, 10.0)).numpy()
+        env.step(action if changes is None else action + changes[:, k], Thresholds(0.0, 0.0, 0.0))
     end = torch.as_tensor(env.observe(new_observations(len(found))).astype(np.float64))
     left = residuals(*split(end, True), torch.as_tensor(found.limits, dtype=torch.float64)).numpy()
     return env.deviations[:, [RP, KP, Q]] / found.limits, left

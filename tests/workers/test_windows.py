@@ -2,6 +2,7 @@
 windows lie, and that nothing else knows of them."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ from orchestrator.curriculum import final_tightenings
 from workers import windows
 from workers.counter_random import DERIVATIVES, TASK, uniforms
 from workers.derivatives import Derivatives
+from workers.environment import Environment, new_observations
+from workers.inference import PolicyNetwork
+from workers.kinematics import forward_kinematics_batch
 from workers.planner import draw_task
 from workers.rollout import Rollout
 from workers.types import Thresholds, concatenate_windows
@@ -55,49 +59,87 @@ def chunks(library, config, policy, easy):
     return collect(config, library, policy, easy)
 
 
-def test_they_end_at_the_nearest_step_of_episodes_that_go_past_their_arrival(library, config, policy):
+@pytest.fixture
+def scouts(library, config):
+    """Scouts that keep what they do: observations, actions and poses of every step; rows and states of the windows."""
+    made = Scouts(config, library, N, SEED, 1)
+    last_steps, step, kept = made._last_steps, made._env.step, SimpleNamespace(poses=[], actions=[], observations=[])
+
+    def watched_step(action, thresholds, rows):
+        env = made._env
+        kept.observations.append(env.observe(new_observations(len(rows)), rows))
+        kept.actions.append(action[rows].copy())
+        step(action, thresholds, rows)
+        kept.poses.append((env.qpos[rows].copy(), env.qvel[rows].copy()))
+
+    def watched_last_steps(network, physics, rows):
+        kept.rows, kept.states = rows, physics.copy()
+        return last_steps(network, physics, rows)
+
+    made._env.step, made._last_steps, made.kept = watched_step, watched_last_steps, kept
+    return made
+
+
+def test_they_end_at_the_nearest_step_of_episodes_that_go_past_their_arrival(scouts, config, policy):
     """Looked for again in all that was played, by the scalar deviations; thresholds five tightenings on, or floors."""
-    scouts, limits = Scouts(config, library, N, SEED, 1), Thresholds(0.35, 3.0, 0.2)
-    found = scouts.windows(policy, limits, INDEX, clock=16)
-    played = scouts._play(policy, np.flatnonzero(drawn(SEED, INDEX, 16, 0.6)), 16)
-    who, expected = np.flatnonzero(drawn(SEED, INDEX, 16, 0.6)), []
+    found = scouts.windows(policy, Thresholds(0.35, 3.0, 0.2), INDEX, clock=16)
+    who, kept, env, expected = np.flatnonzero(drawn(SEED, INDEX, 16, 0.6)), scouts.kept, scouts._env, []
     own = np.maximum(np.array([0.35, 3.0, 0.2]) * 0.9**5, [0.01, 0.09, 0.15])
     assert own[2] == 0.15
+    # once more, for who fell when
+    left, physics = scouts._play(PolicyNetwork(policy, N), np.exp(-4.0), who, 16)
     for row, environment in enumerate(who):
-        target = scouts._env.target_qpos[row], scouts._env.target_qvel[row]
         far = []
         for t in range(10):
-            left = reference.deviations(played["qpos"][t + 1, row], played["qvel"][t + 1, row], *target)
-            far.append(max(np.array([left.rp, left.kp, left.q]) / own))
-            if np.isinf(played["left"][t, row]).all():  # has fallen
-                far[-1] = np.inf
+            deviations = reference.deviations(
+                *(pose[row] for pose in kept.poses[t]), env.target_qpos[row], env.target_qvel[row]
+            )
+            fallen = np.isinf(left[t, row]).all()
+            far.append(np.inf if fallen else max(np.array([deviations.rp, deviations.kp, deviations.q]) / own))
         first = int(np.argmin(far)) - STEPS + 1
         if first >= 0 and np.isfinite(min(far)):
             expected.append((environment, first, row))
     assert len(expected) > 5 and found.environment.tolist() == [environment for environment, _, _ in expected]
+    assert kept.rows.tolist() == [row for _, _, row in expected]
+    np.testing.assert_array_equal(kept.states, physics[[first for _, first, _ in expected], kept.rows])
     np.testing.assert_allclose(found.limits, np.tile(own, (len(found), 1)), rtol=1e-6)
-    derivatives = Derivatives(config, 1)
-    for m, (_, first, row) in enumerate(expected):
-        steps = slice(first, first + STEPS)
-        states = slice(first, first + STEPS + 1)
-        np.testing.assert_array_equal(found.observation[m], played["observation"][states, row])
-        np.testing.assert_array_equal(found.mean[m], played["mean"][steps, row])
-        target = [np.tile(array[row], (STEPS, 1)) for array in (scouts._env.target_qpos, scouts._env.target_qvel)]
-        of_all = derivatives.of(played["physics"][steps, row], played["action"][steps, row], target[0])
-        np.testing.assert_array_equal(found.by_state[m], of_all[1:, :, :74])
-        np.testing.assert_array_equal(found.by_action[m], of_all[:, :, 74:])
-        after = slice(first + 1, first + STEPS + 1)
-        seen = derivatives.observed(played["qpos"][after, row], played["qvel"][after, row], *target)
-        np.testing.assert_array_equal(found.seen[m], seen)
 
 
-def test_they_act_as_in_the_evaluation_on_tasks_drawn_alike(library, config, policy):
-    scouts = Scouts(config, library, 200, SEED, 1)
-    played = scouts._play(policy, np.arange(200), 8)
-    noise = (played["action"] - played["mean"]).astype(np.float64)
-    assert noise.std() == pytest.approx(np.exp(-4.0), rel=0.02) and abs(noise.mean()) < 0.001
+def test_their_last_steps_are_played_again_without_noise_and_differentiated(scouts, library, config, policy, easy):
+    """One window after the other, from the state that it begins in."""
+    found = scouts.windows(policy, easy, INDEX, clock=16)
+    env, derivatives, network = Environment(config, library, 1), Derivatives(config, 1), PolicyNetwork(policy, 1)
+    for m in range(0, len(found), 3):
+        row = scouts.kept.rows[m]
+        target = scouts._env.target_qpos[[row]], scouts._env.target_qvel[[row]]
+        env.physics[:] = scouts.kept.states[m]
+        env.target_qpos[:], env.target_qvel[:] = target
+        forward_kinematics_batch(env.qpos, env.bodies, env.rotations)
+        forward_kinematics_batch(env.target_qpos, env.target_bodies, np.empty_like(env.rotations))
+        for k in range(STEPS):
+            observation = env.observe(new_observations(1))
+            mean = network.mean(observation).copy()
+            of_all = derivatives.of(env.physics, mean, target[0])[0]
+            env.step(mean, Thresholds(0.0, 0.0, 0.0))
+            np.testing.assert_array_equal(found.observation[m, k], observation[0])
+            np.testing.assert_array_equal(found.mean[m, k], mean[0])
+            np.testing.assert_array_equal(found.by_action[m, k], of_all[:, 74:])
+            if k:
+                np.testing.assert_array_equal(found.by_state[m, k - 1], of_all[:, :74])
+            np.testing.assert_array_equal(found.seen[m, k], derivatives.observed(env.qpos, env.qvel, *target)[0])
+        np.testing.assert_array_equal(found.observation[m, STEPS], env.observe(new_observations(1))[0])
+
+
+def test_they_act_as_in_the_evaluation_on_tasks_drawn_alike(scouts, library, config, policy):
+    network = PolicyNetwork(policy, N)
+    scouts._play(network, np.exp(policy.judge_log_sigma), INDEX, 8)
+    noise = np.array(
+        [action - network.mean(seen) for action, seen in zip(scouts.kept.actions, scouts.kept.observations)]
+    ).astype(np.float64)
+    assert noise.shape == (10, N, 31)
+    assert noise.std() == pytest.approx(np.exp(-4.0), rel=0.03) and abs(noise.mean()) < 0.001
     steps = noise.reshape(len(noise), -1)
-    assert abs(np.corrcoef(steps)[np.triu_indices(len(noise), 1)]).max() < 0.1  # independent from step to step
+    assert abs(np.corrcoef(steps)[np.triu_indices(len(noise), 1)]).max() < 0.15  # independent from step to step
     task = np.empty(4)
     for environment in (0, 7):
         draw_task(
