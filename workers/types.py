@@ -185,12 +185,12 @@ def concatenate_outcomes(items):
 
 @dataclass(frozen=True)
 class Windows:
-    """M windows of K steps without noise, which end where an episode was nearest to its target, with the derivatives of
-    physics along them (`workers.derivatives`). Ordered by environment; float32 unless said otherwise.
+    """M windows of K steps, which end where an episode was nearest to its target, with the derivatives of physics along
+    them (`workers.derivatives`). Ordered by environment; float32 unless said otherwise.
 
     A state x has 74 tangent coordinates; x_0 is the state before the first step, x_{k+1} that after step k.
     environment: (M,) int64, index in the run. limits: (M, 3), what d^rp, d^kp, d^q are measured by.
-    observation: (M, K + 1, 282), of x_0 to x_K. mean: (M, K, 31), the policy's output, which acted.
+    observation: (M, K + 1, 282), of x_0 to x_K. mean: (M, K, 31), the policy's output, without noise.
     by_action: (M, K, 74, 31), x_{k+1} by the action of step k.
     by_state: (M, K - 1, 74, 74), x_{k+1} by x_k, of the steps from the second on.
     seen: (M, K, 282, 74), the observation of x_{k+1} by x_{k+1}.

@@ -1,9 +1,9 @@
 """Episodes played beside a chunk for the descent at arrival, with derivatives of physics before their nearest approach.
 
 What `arrival.physics=simulated` learns from (`learner.simulated_windows`). These episodes act as in the evaluation,
-with its noise, and go on past their arrival, so that they show how near the figure comes; their last steps are played
-again without noise. Nobody else knows of them. A function of (policy, thresholds, seed, environments, clock) and of
-nothing before: there is no state to keep.
+with its noise, and go on past their arrival, so that they show how near the figure comes; their windows are played
+again, the last steps without noise. Nobody else knows of them. A function of (policy, thresholds, seed, environments,
+clock) and of nothing before: there is no state to keep.
 """
 
 import numpy as np
@@ -18,6 +18,9 @@ from workers.observation import OBSERVATION_SIZE
 from workers.reward import KP, RP, Q
 from workers.types import FELL, Thresholds, Windows
 
+QUIET = (
+    3  # last steps of a window without noise, which the policy could hardly correct any more: it would hide the rest
+)
 NEAR = 4.0  # thresholds; who came no nearer is left to PPO
 _NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
 _EPISODES = 2**40  # from here on their tasks are numbered, by the clock: those of training never get there
@@ -45,17 +48,23 @@ class Scouts:
     def windows(self, policy, thresholds, environment, clock):
         """`Windows` of a policy beside the chunk that begins at `clock`; environment: (N,), indices in the run."""
         environment = environment[drawn(self._seed, environment, clock, self._config.arrival.share)]
-        network = PolicyNetwork(policy, self._env.num_envs)
-        left, physics = self._play(network, np.exp(policy.judge_log_sigma), environment, clock)
+        network, deviation = PolicyNetwork(policy, self._env.num_envs), np.float32(np.exp(policy.judge_log_sigma))
+        left, physics = self._play(network, deviation, environment, clock)
         limits = self._limits(thresholds, len(environment))
         with np.errstate(invalid="ignore"):
             ratio = (left / limits).max(axis=2)
         first = ratio.argmin(axis=0) - self._config.arrival.steps + 1
         rows = np.flatnonzero((ratio.min(axis=0, initial=np.inf) < NEAR) & (first >= 0))
+        noise = [
+            deviation * self._noise(environment[rows], clock, first[rows] + k)
+            for k in range(self._config.arrival.steps)
+        ]
+        for unseen in noise[-QUIET:]:
+            unseen[:] = 0.0
         made = Windows(
             environment=environment[rows],
             limits=limits[rows].astype(np.float32),
-            **self._last_steps(network, physics[first[rows], rows], rows),
+            **self._last_steps(network, physics[first[rows], rows], rows, noise),
         )
         fine = np.isfinite(made.by_action).all(axis=(1, 2, 3)) & np.isfinite(made.by_state).all(axis=(1, 2, 3))
         return made if fine.all() else made.take(np.flatnonzero(fine))
@@ -75,21 +84,26 @@ class Scouts:
         env.plan(self._seed, index, np.full(env.num_envs, _EPISODES + clock), rows)
         env.begin(rows)
         left, physics = np.empty((steps, n, 3)), np.empty((steps, n, env.physics.shape[1]))
-        noise, action = np.empty((n, NUM_DOF)), np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
+        action = np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
         standing = np.ones(n, dtype=bool)
         for t in range(steps):
-            fill_normal(self._seed, DERIVATIVES, environment, np.full(n, (clock << 16) + t), noise)
             mean = network.mean(env.observe(new_observations(n), rows))
-            action[:n] = mean + np.float32(deviation) * noise.astype(np.float32)
+            action[:n] = mean + deviation * self._noise(environment, clock, np.full(n, t))
             physics[t] = env.physics[:n]
             env.step(action, _NEVER, rows)
             standing &= env.end[:n] != FELL
             left[t] = np.where(standing[:, None], env.deviations[:n][:, [RP, KP, Q]], np.inf)
         return left, physics
 
-    def _last_steps(self, network, physics, rows):
-        """{name: array} of `Windows`, of the steps that follow on a state (M, nstate) in rows (M,), without noise: it
-        would only hide what the state's own corrections are."""
+    def _noise(self, environment, clock, step):
+        """(n, 31) float32, standard normal, of environments (n,) at steps (n,) of their episodes."""
+        noise = np.empty((len(environment), NUM_DOF))
+        fill_normal(self._seed, DERIVATIVES, environment, (clock << 16) + step, noise)
+        return noise.astype(np.float32)
+
+    def _last_steps(self, network, physics, rows, noise):
+        """{name: array} of `Windows`, of the steps that follow on states (M, nstate) in rows (M,), with noise, (M, 31)
+        of each."""
         env, steps, count = self._env, self._config.arrival.steps, len(rows)
         target = env.target_qpos[rows], env.target_qvel[rows]
         env.physics[rows] = physics
@@ -100,8 +114,8 @@ class Scouts:
         found["observation"].append(env.observe(new_observations(count), rows))
         for k in range(steps):
             mean, before = network.mean(found["observation"][-1]).copy(), env.physics[rows]
-            derivatives = self._derivatives.of(before, mean, target[0], by_state=k > 0)
-            action[rows] = mean
+            action[rows] = mean + noise[k]
+            derivatives = self._derivatives.of(before, action[rows], target[0], by_state=k > 0)
             env.step(action, _NEVER, rows)
             found["observation"].append(env.observe(new_observations(count), rows))
             found["mean"].append(mean)

@@ -40,9 +40,9 @@ def lesson(library, make_config, easy):
     rollout, kept = Rollout(config, library, N, config.horizon, seed=5), {}
     scouts, last_steps = rollout._scouts, rollout._scouts._last_steps
 
-    def watched(network, physics, rows):
+    def watched(network, physics, rows, noise):
         kept["states"] = physics.copy(), scouts._env.target_qpos[rows], scouts._env.target_qvel[rows]
-        return last_steps(network, physics, rows)
+        return last_steps(network, physics, rows, noise)
 
     scouts._last_steps = watched
     chunk, _ = rollout.collect(rollout.initial_state(0), LearnerState(config, 1).snapshot(), easy)

@@ -72,9 +72,9 @@ def scouts(library, config):
         step(action, thresholds, rows)
         kept.poses.append((env.qpos[rows].copy(), env.qvel[rows].copy()))
 
-    def watched_last_steps(network, physics, rows):
+    def watched_last_steps(network, physics, rows, noise):
         kept.rows, kept.states = rows, physics.copy()
-        return last_steps(network, physics, rows)
+        return last_steps(network, physics, rows, noise)
 
     made._env.step, made._last_steps, made.kept = watched_step, watched_last_steps, kept
     return made
@@ -87,7 +87,7 @@ def test_they_end_at_the_nearest_step_of_episodes_that_go_past_their_arrival(sco
     own = np.maximum(np.array([0.35, 3.0, 0.2]) * 0.9**5, [0.01, 0.09, 0.15])
     assert own[2] == 0.15
     # once more, for who fell when
-    left, physics = scouts._play(PolicyNetwork(policy, N), np.exp(-4.0), who, 16)
+    left, physics = scouts._play(PolicyNetwork(policy, N), np.float32(np.exp(-4.0)), who, 16)
     for row, environment in enumerate(who):
         far = []
         for t in range(10):
@@ -130,9 +130,24 @@ def test_their_last_steps_are_played_again_without_noise_and_differentiated(scou
         np.testing.assert_array_equal(found.observation[m, STEPS], env.observe(new_observations(1))[0])
 
 
+def test_but_for_the_last_steps_the_noise_is_that_of_before(scouts, policy, easy, monkeypatch):
+    """With noise in all steps a window is what was played; without it in the last, up to there."""
+    monkeypatch.setattr(windows, "QUIET", 1)
+    found, kept = scouts.windows(policy, easy, INDEX, clock=16), scouts.kept
+    count = len(kept.observations) - STEPS
+    played = np.array(kept.observations[:count])
+    for m, row in enumerate(kept.rows):
+        at = np.flatnonzero((played[:, row] == found.observation[m, 0]).all(axis=1))
+        assert len(at) == 1
+        np.testing.assert_array_equal(found.observation[m, 1], played[at[0] + 1, row])
+        if at[0] + 2 < count:
+            assert (found.observation[m, 2] != played[at[0] + 2, row]).any()
+        assert (kept.actions[at[0]][row] != found.mean[m, 0]).any()
+
+
 def test_they_act_as_in_the_evaluation_on_tasks_drawn_alike(scouts, library, config, policy):
     network = PolicyNetwork(policy, N)
-    scouts._play(network, np.exp(policy.judge_log_sigma), INDEX, 8)
+    scouts._play(network, np.float32(np.exp(policy.judge_log_sigma)), INDEX, 8)
     noise = np.array(
         [action - network.mean(seen) for action, seen in zip(scouts.kept.actions, scouts.kept.observations)]
     ).astype(np.float64)
