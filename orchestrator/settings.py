@@ -43,7 +43,7 @@ def config_folder():
 
 def shipped_policies():
     """{name: file} of the policies that come with Segue."""
-    return {path.stem: path for path in sorted((config_folder() / "policies").glob("*.pt"))}
+    return {path.stem: path for path in sorted((config_folder() / "policies").glob("*.pt"), key=lambda path: path.stem)}
 
 
 def command_line(arguments):
