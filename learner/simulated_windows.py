@@ -1,4 +1,4 @@
-"""Windows before nearest approaches, corrected by the derivatives of physics that their worker simulated, and cloned.
+"""Windows before nearest approaches, whose actions are corrected by the derivatives that their worker simulated.
 
 Of every window the actions of its K steps are corrected: by the least changes that bring its end nearer to the target,
 as far as physics is linear and with what the policy makes of them at later steps (a Gauss-Newton step with
