@@ -192,7 +192,13 @@ def check_relations(config, source):
             f"{source('task.focus')}: task.focus={config.task.focus} needs judging environments, whose tasks stay "
             "uniform and move the curriculum: set policy.judges, e.g. policy.judges=8"
         )
-    if config.arrival.weight and config.arrival.steps > config.horizon:
+    simulated = config.arrival.physics == "simulated"
+    if config.arrival.weight and simulated and config.arrival.steps > config.task.time_limit:
+        raise InputError(
+            f"{source('arrival.steps')}: arrival.steps={config.arrival.steps} is more than an episode's "
+            f"{config.task.time_limit} steps (task.training_steps, task.max_steps): lower it"
+        )
+    if config.arrival.weight and not simulated and config.arrival.steps > config.horizon:
         raise InputError(
             f"{source('arrival.steps')}: arrival.steps={config.arrival.steps} is more than horizon={config.horizon}, "
             "so that no chunk holds as many steps of an episode: lower it"

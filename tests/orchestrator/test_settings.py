@@ -181,6 +181,7 @@ def test_suggestions():
     "values, words",
     [
         (["arrival.steps=17", "horizon=16"], "arrival.steps=17 is more than horizon=16.*lower it"),
+        (["arrival.physics=simulated", "arrival.steps=61"], "arrival.steps=61 is more than an episode's .* lower it"),
         (["reward.key_body_frame=own"], "arrival.weight=0.1 follows.*common frame only.*reward.key_body_frame=common"),
     ],
 )
