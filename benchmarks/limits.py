@@ -40,14 +40,14 @@ from workers.kinematics import (
 )  # fmt: skip
 from workers.library import build_library
 from workers.reward import KP, RP, Q
-from workers.types import FELL, Thresholds
+from workers.types import FELL
+from workers.windows import NEVER
 
 _KEYS = skeleton.KEY_BODIES
 _WEIGHTS = skeleton.JOINT_WEIGHTS
 RESIDUALS = 3 + 3 * len(_KEYS) + NUM_DOF
 # what makes the squares of root, key bodies and joints count alike where each deviation is spread evenly
 _BALANCE = np.repeat([1.0, math.sqrt(len(_KEYS)), math.sqrt(NUM_DOF)], [3, 3 * len(_KEYS), NUM_DOF])
-NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
 _RIDGES, _DAMPINGS = (0.01, 0.1, 1.0), (1e-3, 1e-2, 1e-1)  # in units of the mean eigenvalue
 _LENGTHS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4)  # of a Gauss-Newton step
 _GOOD_ENOUGH = 0.9  # of the final accuracy: the search ends

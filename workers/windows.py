@@ -18,11 +18,10 @@ from workers.observation import OBSERVATION_SIZE
 from workers.reward import KP, RP, Q
 from workers.types import FELL, Thresholds, Windows
 
-QUIET = (
-    3  # last steps of a window without noise, which the policy could hardly correct any more: it would hide the rest
-)
+# last steps of a window without noise, which the policy could hardly correct any more: it would hide the rest
+QUIET = 3
 NEAR = 4.0  # thresholds; who came no nearer is left to PPO
-_NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
+NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
 _EPISODES = 2**40  # from here on their tasks are numbered, by the clock: those of training never get there
 _DRAW = 2**20  # the block of the number that says who plays; noise has the first few
 
@@ -41,7 +40,7 @@ class Scouts:
 
     def __init__(self, config, library, num_envs, seed, threads):
         """config: `EnvConfig` and the curriculum's. num_envs: of the worker. seed: of the run."""
-        self._config, self._library, self._seed = config, library, seed
+        self._config, self._seed = config, seed
         self._env = Environment(config, library, num_envs, threads)
         self._derivatives = Derivatives(config, threads)
 
@@ -90,7 +89,7 @@ class Scouts:
             mean = network.mean(env.observe(new_observations(n), rows))
             action[:n] = mean + deviation * self._noise(environment, clock, np.full(n, t))
             physics[t] = env.physics[:n]
-            env.step(action, _NEVER, rows)
+            env.step(action, NEVER, rows)
             standing &= env.end[:n] != FELL
             left[t] = np.where(standing[:, None], env.deviations[:n][:, [RP, KP, Q]], np.inf)
         return left, physics
@@ -116,7 +115,7 @@ class Scouts:
             mean, before = network.mean(found["observation"][-1]).copy(), env.physics[rows]
             action[rows] = mean + noise[k]
             derivatives = self._derivatives.of(before, action[rows], target[0], by_state=k > 0)
-            env.step(action, _NEVER, rows)
+            env.step(action, NEVER, rows)
             found["observation"].append(env.observe(new_observations(count), rows))
             found["mean"].append(mean)
             found["by_action"].append(derivatives[:, :, -NUM_DOF:])
