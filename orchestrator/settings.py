@@ -214,7 +214,7 @@ def absolute_paths(config):
     start.checkpoint may be the name of a policy that comes with Segue, if nothing here has that name.
     """
     begins = config.start.checkpoint
-    if begins in shipped_policies() and not os.path.exists(begins):
+    if begins and not os.path.exists(begins) and begins in shipped_policies():
         config.start.checkpoint = str(shipped_policies()[begins])
     for holder, name in ((config, "out"), (config.motions, "dir"), (config.start, "checkpoint")):
         value = getattr(holder, name)

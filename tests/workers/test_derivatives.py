@@ -110,7 +110,7 @@ def test_a_rows_numbers_depend_on_nothing_but_the_row(states, assert_same_bits):
 
 
 def test_they_foretell_what_a_larger_change_does(states):
-    """On soles: a change of state and action together, a hundred times the differences, to a tenth."""
+    """On soles: a change of state and action together, twenty times the differences, to a tenth."""
     config, env, action = states
     model, generator = build_model(config.physics), np.random.default_rng(1)
     found = Derivatives(config, 1).of(env.physics, action, env.target_qpos).astype(np.float64)
