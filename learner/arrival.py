@@ -31,7 +31,7 @@ class Arrival:
             return None, self._metrics
         state, config = self._state, self._state.config.arrival
         chosen = self._random.integers(len(self._windows), size=config.batch_size)
-        loss = self._windows.loss(chosen)
+        loss = self._windows.loss(chosen, self._random)
         parameters = list(state.policy.parameters())
         found = torch.autograd.grad(loss, parameters)
         norm = torch.sqrt(sum((gradient**2).sum() for gradient in found))

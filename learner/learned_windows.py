@@ -72,8 +72,11 @@ class LearnedWindows:
                 self._following[at] - state.dynamics.step(self._observation[at], self._action[at]) for at in every
             ]
 
-    def loss(self, chosen):
-        """Mean over the windows chosen (B,) of the largest deviation at arrival, in thresholds, cut off at NEAR."""
+    def loss(self, chosen, random):
+        """Mean over the windows chosen (B,) of the largest deviation at arrival, in thresholds, cut off at NEAR.
+
+        random: not used, the noise is that of the chunk.
+        """
         ratio = self._arrive(chosen)
         return ((ratio**_POWER).sum(dim=1) + 1e-6).pow(1 / _POWER).clamp(max=NEAR).mean()
 

@@ -127,7 +127,7 @@ def test_its_loss_is_what_was_left_if_the_policy_is_still_the_one_that_acted(les
         rows = [slice(first, first + 1), slice(first + n, first + n + 1)]
         left = deviations(*state.dynamics.split(found._following[first + n : first + n + 1]))[0]
         ratio = (left / found._limits[chosen]).numpy()
-        assert found.loss(np.array([chosen])).item() == pytest.approx((ratio**4).sum() ** 0.25, rel=1e-3)
+        assert found.loss(np.array([chosen]), None).item() == pytest.approx((ratio**4).sum() ** 0.25, rel=1e-3)
 
 
 @pytest.mark.parametrize("optimizer", ("adam", "kfac"))

@@ -1,4 +1,4 @@
-"""The descent at arrival by the derivatives of physics: its corrections do when played what they are said to do."""
+"""The descent at arrival by the derivatives of physics: what it says of physics is so when played."""
 
 import copy
 
@@ -8,7 +8,7 @@ import torch
 
 from learner.arrival import Arrival
 from learner.encoding import residuals, split
-from learner.simulated_windows import SimulatedWindows, corrections
+from learner.simulated_windows import SimulatedWindows
 from learner.state import LearnerState
 from learner.update import update
 from workers import windows
@@ -18,23 +18,19 @@ from workers.reward import KP, RP, Q
 from workers.rollout import Rollout
 from workers.types import Thresholds
 
-STEPS, N = 3, 32
+STEPS, N = 5, 32
 ON = {
     "task.max_steps": 8, "physics.sole": 0.02, "arrival.weight": 1.0, "arrival.physics": "simulated",
     "arrival.steps": STEPS, "arrival.share": 1.0, "arrival.batch_size": 16, "policy.log_sigma": -3.0,
-    "observation.target": "difference", "arrival.correction": 0.3,
+    "observation.target": "difference",
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module", autouse=True)
-def everybody_is_near():
-    kept, windows.NEAR = windows.NEAR, 1e9
-    yield
-    windows.NEAR = kept
+pytestmark = pytest.mark.usefixtures("everybody_is_near")
 
 
 @pytest.fixture(scope="module")
-def lesson(library, make_config, easy):
+def lesson(library, make_config, easy, everybody_is_near):
     """(configuration, the chunk of the policy of seed 1, the states that its windows begin in, their targets)."""
     config = make_config(ON)
     rollout, kept = Rollout(config, library, N, config.horizon, seed=5), {}
@@ -45,7 +41,9 @@ def lesson(library, make_config, easy):
         return last_steps(network, physics, rows, noise)
 
     scouts._last_steps = watched
-    chunk, _ = rollout.collect(rollout.initial_state(0), LearnerState(config, 1).snapshot(), easy)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(windows, "QUIET", STEPS)  # no noise, so that what is played again is the same
+        chunk, _ = rollout.collect(rollout.initial_state(0), LearnerState(config, 1).snapshot(), easy)
     assert len(chunk.windows) == len(kept["states"][0]) >= 20
     return config, chunk, kept["states"]
 
@@ -81,81 +79,92 @@ def test_residuals_are_the_deviations_parts(lesson, library):
     np.testing.assert_allclose(np.abs(left[:, 21:]).sum(axis=1) / 31**0.5, limits[:, 2], rtol=1e-4)
 
 
+def everyone(chunk):
+    return torch.arange(len(chunk.windows))
+
+
+@torch.no_grad()
+def ends(found, changes):
+    """(M, 60): where the windows end with changes (M, K, 31) of the outputs, as the derivatives say."""
+    return found.ends(torch.arange(len(found)), torch.as_tensor(changes, dtype=torch.float32)[:, None])[:, 0].numpy()
+
+
 def test_what_the_actions_do_is_what_they_do_when_played(lesson, library):
-    """Derivatives of the windows' ends by every action, through the policy's outputs at later steps."""
+    """Every action, through the policy's outputs at later steps."""
     config, chunk, _ = lesson
     state, generator = LearnerState(config, 1), np.random.default_rng(0)
-    with torch.no_grad():
-        limits = torch.as_tensor(chunk.windows.limits)
-        residual, by_actions = SimulatedWindows(state, chunk)._end(chunk.windows, limits)
+    found = SimulatedWindows(state, chunk)
     _, rest = played(lesson, library, state.policy)
-    np.testing.assert_allclose(residual, rest, atol=5e-3)
+    np.testing.assert_allclose(ends(found, np.zeros((len(rest), STEPS, 31))), rest, atol=5e-3)
     for _ in range(3):
         changes = generator.normal(0.0, 1e-3, (len(rest), STEPS, 31)).astype(np.float32)
-        said = np.einsum("mrkd,mkd->mr", by_actions.numpy(), changes)
-        ends = [played(lesson, library, state.policy, sign * changes)[1] for sign in (1, -1)]
-        true = (ends[0] - ends[1]) / 2
+        said = (ends(found, changes) - ends(found, -changes)) / 2
+        true = [played(lesson, library, state.policy, sign * changes)[1] for sign in (1, -1)]
+        true = (true[0] - true[1]) / 2
         # one window or another has a foot that just takes hold or lets go
         assert np.corrcoef(said.ravel(), true.ravel())[0, 1] > 0.97
-        assert np.median(np.abs(said - true)) < 0.05 * np.abs(true).mean()
+        assert np.median(np.abs(said - true)) < 0.08 * np.abs(true).mean()
 
 
-def test_corrected_actions_come_nearer_by_as_much_as_foreseen(lesson, library):
+def test_ends_are_those_of_slow_obvious_code(lesson):
+    """One window, one draw and one step at a time, by the arrays of `workers.types.Windows`."""
     config, chunk, _ = lesson
-    state = LearnerState(config, 1)
-    found = SimulatedWindows(state, chunk)
-    changes = found.corrections.numpy()
-    before, after = (played(lesson, library, state.policy, c)[1] for c in (None, changes))
+    state, generator, found = LearnerState(config, 1), np.random.default_rng(0), chunk.windows
+    chosen, changes = [4, 0, 4], generator.normal(0.0, 0.01, (3, 2, STEPS, 31)).astype(np.float32)
     with torch.no_grad():
-        residual, by_actions = found._end(chunk.windows, torch.as_tensor(chunk.windows.limits))
-    foreseen = residual.numpy() + np.einsum("mrkd,mkd->mr", by_actions.numpy(), changes)
-    gained, said = (np.linalg.norm(before, axis=1) - np.linalg.norm(end, axis=1) for end in (after, foreseen))
-    assert (said > 0).all() and (gained > 0).mean() > 0.9
-    assert np.median(np.abs(gained - said) / said) < 0.1
+        quick = SimulatedWindows(state, chunk).ends(torch.as_tensor(chosen), torch.as_tensor(changes)).numpy()
+    for row, window in enumerate(chosen):
+        limits = torch.as_tensor(found.limits[window : window + 1])
+
+        def left(observation, limits=limits):
+            return residuals(*split(observation[None], True), limits)[0]
+
+        last = torch.as_tensor(found.observation[window, -1])
+        by_end = torch.autograd.functional.jacobian(left, last).numpy() @ found.seen[window, -1]
+        for draw in range(2):
+            x = np.zeros(74)
+            for k in range(STEPS):
+                seen = found.observation[window, k] + (found.seen[window, k - 1] @ x if k else 0.0)
+                with torch.no_grad():
+                    output = state.policy(state.observations(torch.as_tensor(seen[None], dtype=torch.float32)))[0]
+                action = output.numpy() - found.mean[window, k] + changes[row, draw, k]
+                x = (found.by_state[window, k - 1] @ x if k else 0.0) + found.by_action[window, k] @ action
+            expected = left(last).numpy() + by_end @ x
+            np.testing.assert_allclose(quick[row, draw], expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
 
 
-def test_corrections_are_those_of_least_squares():
-    """Against numpy's, of the stacked problem |r + J x|^2 + |x|^2 / deviation^2."""
-    generator = np.random.default_rng(0)
-    residual, by_actions = generator.normal(size=(4, 7)), generator.normal(size=(4, 7, 2, 31))
-    for deviation in (0.01, 0.3, 10.0):
-        found = corrections(torch.as_tensor(residual), torch.as_tensor(by_actions), deviation).numpy()
-        for m in range(4):
-            stacked = np.concatenate([by_actions[m].reshape(7, -1), np.eye(62) / deviation])
-            wanted = np.concatenate([-residual[m], np.zeros(62)])
-            expected = np.linalg.lstsq(stacked, wanted, rcond=None)[0].reshape(2, 31)
-            np.testing.assert_allclose(found[m], expected, atol=1e-9)
-
-
-def test_its_gradient_is_that_of_the_corrected_actions_likelihood(lesson):
+def test_its_loss_is_the_mean_of_what_is_left_under_noise(lesson):
+    """Against its definition, of the noise that it says: the evaluation's deviation times a half, none in the last."""
     config, chunk, _ = lesson
-    state = LearnerState(config, 1)
-    found, chosen = SimulatedWindows(state, chunk), np.array([3, 0, 3])
-    given = state.observations(torch.as_tensor(chunk.windows.observation[chosen, :STEPS]))
-    wanted = state.policy(given).detach() + found.corrections[chosen]
+    state, chosen = LearnerState(config, 1), np.array([3, 0, 3])
+    found = SimulatedWindows(state, chunk)
     sigma = np.exp(config.policy.judge_log_sigma) / config.action.scale
-    likelihood = -((wanted - state.policy(given)) ** 2).sum(dim=(1, 2)) / (2 * sigma**2)
-    parameters = list(state.policy.parameters())
-    expected = torch.autograd.grad(-likelihood.mean(), parameters)
-    for one, other in zip(torch.autograd.grad(found.loss(chosen), parameters), expected, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-5 * float(other.abs().max()))
+    draws = config.arrival.draws
+    noise = np.random.default_rng(7).standard_normal((3, draws, STEPS, 31), dtype=np.float32) * 0.5 * sigma
+    noise[:, :, -windows.QUIET :] = 0.0
+    assert STEPS > windows.QUIET and np.abs(noise).max() > 0
+    with torch.no_grad():
+        left = found.ends(torch.as_tensor(chosen), torch.as_tensor(noise, dtype=torch.float32)).numpy()
+        loss = found.loss(chosen, np.random.default_rng(7)).item()
+    assert loss == pytest.approx(np.sqrt(1 + (left**2).sum(axis=2)).mean(), rel=1e-5)
+    quiet = copy.deepcopy(config)
+    quiet.arrival.noise = 0.0
+    rest = ends(found, np.zeros((len(found), STEPS, 31)))[chosen]
+    with torch.no_grad():
+        loss = SimulatedWindows(LearnerState(quiet, 1), chunk).loss(chosen, np.random.default_rng(7)).item()
+    assert loss == pytest.approx(np.sqrt(1 + (rest**2).sum(axis=1)).mean(), rel=1e-5)
 
 
-def test_a_policy_that_has_moved_since_is_corrected_from_where_it_would_come_to(lesson, library):
+def test_a_policy_that_has_moved_since_is_followed_to_where_it_would_come(lesson, library):
     config, chunk, _ = lesson
     state, generator = LearnerState(config, 1), torch.Generator().manual_seed(0)
     with torch.no_grad():
         for parameter in state.policy.parameters():
             parameter += 2e-3 * parameter.abs().mean() * torch.randn(parameter.shape, generator=generator)
-    found = SimulatedWindows(state, chunk).corrections.numpy()
-    stale = SimulatedWindows(LearnerState(config, 1), chunk).corrections.numpy()
-    # corrected from where it comes to when it is played
-    left = torch.as_tensor(played(lesson, library, state.policy)[1])
-    with torch.no_grad():
-        limits = torch.as_tensor(chunk.windows.limits)
-        by_actions = SimulatedWindows(state, chunk)._end(chunk.windows, limits)[1]
-    true = corrections(left.float(), by_actions, config.arrival.correction / config.action.scale).numpy()
-    assert np.linalg.norm(found - true) < 0.5 * np.linalg.norm(stale - true)
+    still = np.zeros((len(chunk.windows), STEPS, 31))
+    followed, stale = (ends(SimulatedWindows(learner, chunk), still) for learner in (state, LearnerState(config, 1)))
+    _, true = played(lesson, library, state.policy)
+    assert np.linalg.norm(followed - true) < 0.5 * np.linalg.norm(stale - true)
 
 
 @pytest.mark.parametrize("optimizer", ("adam", "kfac"))
@@ -171,20 +180,22 @@ def test_an_update_with_it_is_pure_and_needs_no_learned_physics(optimizer, lesso
     assert first[1]["arrival/left"] > 0
 
 
-def test_steps_down_its_gradient_bring_the_figure_nearer(lesson, library):
+def test_steps_down_its_gradient_bring_the_figure_nearer_under_noise(lesson, library):
     config, chunk, _ = lesson
-    state, everyone = LearnerState(config, 1), np.arange(len(chunk.windows))
+    state, generator = LearnerState(config, 1), np.random.default_rng(0)
+    sigma = np.exp(config.policy.judge_log_sigma) / config.action.scale
+    noise = generator.normal(0.0, sigma, (4, len(chunk.windows), STEPS, 31)).astype(np.float32)
 
     def left():
-        return np.linalg.norm(played(lesson, library, state.policy)[1], axis=1).mean()
+        return np.mean([np.linalg.norm(played(lesson, library, state.policy, n)[1], axis=1).mean() for n in noise])
 
-    before = left()
-    optimizer = torch.optim.SGD(state.policy.parameters(), lr=1e-5)
+    before, learner = left(), SimulatedWindows(state, chunk)
+    optimizer = torch.optim.SGD(state.policy.parameters(), lr=3e-3)
     for _ in range(10):
         optimizer.zero_grad()
-        SimulatedWindows(state, chunk).loss(everyone).backward()
+        learner.loss(everyone(chunk), generator).backward()
         optimizer.step()
-    assert left() < 0.99 * before
+    assert left() < 0.98 * before
 
 
 def test_a_chunk_without_windows_changes_nothing(lesson, assert_same_bits):

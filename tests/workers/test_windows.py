@@ -20,6 +20,8 @@ from workers.rollout import Rollout
 from workers.types import Thresholds, concatenate_windows
 from workers.windows import Scouts, drawn
 
+pytestmark = pytest.mark.usefixtures("everybody_is_near")
+
 STEPS, HORIZON, SEED, N = 2, 8, 5, 24
 ON = {
     "task.max_steps": 10, "physics.sole": 0.02, "arrival.weight": 1.0, "arrival.physics": "simulated",
@@ -42,20 +44,13 @@ def policy(make_policy):
     return dataclasses.replace(make_policy(), judges=4, judge_log_sigma=-4.0)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def everybody_is_near():
-    kept, windows.NEAR = windows.NEAR, 1e9
-    yield
-    windows.NEAR = kept
-
-
 @pytest.fixture(scope="module")
 def config(make_config):
     return make_config(ON)
 
 
 @pytest.fixture(scope="module")
-def chunks(library, config, policy, easy):
+def chunks(library, config, policy, easy, everybody_is_near):
     return collect(config, library, policy, easy)
 
 
