@@ -165,12 +165,18 @@ class Environment:
         """What `Thresholds.of` takes for rows ids: the numbers of their tasks' groups where they matter."""
         return self.library.group_of(self.task[ids]) if thresholds.groups else ids
 
+    def place(self, physics, ids):
+        """Put rows ids (M,) into states physics (M, nstate), as `physics` has them; tasks and targets stay."""
+        self._batch.state[ids] = physics
+        bodies, rotations = self.bodies[ids], self.rotations[ids]  # copies
+        forward_kinematics_batch(self.qpos[ids], bodies, rotations)
+        self.bodies[ids], self.rotations[ids] = bodies, rotations
+
     def load(self, state):
         """Become the environments of a `WorkerState`."""
-        self._batch.state[:] = state.physics
+        self.place(state.physics, self._all)
         for name in ("steps", "trembles", "task", "retained", "target_qpos", "target_qvel", "totals"):
             getattr(self, name)[:] = getattr(state, name)
-        forward_kinematics_batch(self.qpos, self.bodies, self.rotations)
         forward_kinematics_batch(self.target_qpos, self.target_bodies, self._target_rotations)
         deviate_batch(
             self.qpos, self.qvel, self.bodies, self.target_qpos, self.target_qvel, self.target_bodies,

@@ -13,7 +13,7 @@ from workers.counter_random import DERIVATIVES, fill_normal, uniforms
 from workers.derivatives import TANGENT, Derivatives
 from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
-from workers.kinematics import NUM_BODIES, NUM_DOF, forward_kinematics_batch
+from workers.kinematics import NUM_DOF
 from workers.observation import OBSERVATION_SIZE
 from workers.reward import KP, RP, Q
 from workers.types import FELL, Thresholds, Windows
@@ -105,10 +105,8 @@ class Scouts:
         of each."""
         env, steps, count = self._env, self._config.arrival.steps, len(rows)
         target = env.target_qpos[rows], env.target_qvel[rows]
-        env.physics[rows] = physics
-        bodies, rotations = np.empty((count, NUM_BODIES, 3)), np.empty((count, NUM_BODIES, 4))
-        forward_kinematics_batch(env.qpos[rows], bodies, rotations)
-        env.bodies[rows], action = bodies, np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
+        env.place(physics, rows)
+        action = np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
         found = {name: [] for name in ("observation", "mean", "by_action", "by_state", "seen")}
         found["observation"].append(env.observe(new_observations(count), rows))
         for k in range(steps):

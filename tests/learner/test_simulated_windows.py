@@ -54,9 +54,8 @@ def played(lesson, library, policy, changes=None):
     config, chunk, (physics, *target) = lesson
     found = chunk.windows
     env = Environment(config, library, len(found))
-    env.physics[:] = physics
+    env.place(physics, np.arange(len(found)))
     env.target_qpos[:], env.target_qvel[:] = target
-    forward_kinematics_batch(env.qpos, env.bodies, env.rotations)
     forward_kinematics_batch(env.target_qpos, env.target_bodies, np.empty_like(env.rotations))
     for k in range(STEPS):
         seen = torch.as_tensor(env.observe(new_observations(len(found))))
