@@ -128,8 +128,8 @@ class ArrivalConfig:
     weight: float = 0.0
     """Its gradient is clipped as PPO's is and added to it with this weight. 0, the paper: none."""
     physics: str = "learned"
-    """Whose derivatives: `learned`, a network's that learns from the chunks; `simulated`, those of physics itself, by
-    differences (`workers/derivatives.py`): some 30 to 100 simulated steps for each step of a window."""
+    """Whose derivatives: `learned`, a network's that learns from the chunks; `simulated`, those of physics itself
+    (`workers/derivatives.py`), which take as long as some 20 to 30 simulated steps for each step of a window."""
     share: float = 0.3
     """simulated: share of the environments beside which an episode is played for it in every chunk."""
     lead: int = 5

@@ -1,18 +1,23 @@
 """What a small change of the figure or of its action changes a policy step later: derivatives of physics itself.
 
-MuJoCo has no backward pass; on soles (`physics.sole`) it is smooth enough for differences. A state is changed in its
-74 tangent coordinates, the root's place (3, world) and turn (3, its own frame), the joints' (31), then as many
-velocities as qvel has them, one at a time, and so is each of the action's 31 numbers; all are stepped side by side.
+MuJoCo has no backward pass; on soles (`physics.sole`) physics is smooth enough to be differentiated. A state has 74
+tangent coordinates, the root's place (3, world) and turn (3, its own frame), the joints' (31), then as many velocities
+as qvel has them. A policy step is played once. In each of its substeps the acceleration a, (next qvel - qvel) / h, is
+where the residual r of inverse dynamics vanishes; what a small change of pose, velocity or actuator targets does to it
+follows from the implicit function theorem, da = -(dr/da)^-1 dr. No solver runs for that, as in a pushed simulation: by
+pose, r is differenced (MuJoCo's `mjd_inverseFD`); by velocity and acceleration its derivatives are what a step leaves
+in MuJoCo's data anyway, linear in those of the constraints that act. The substeps' derivatives are chained.
 """
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
 
+import mujoco
 import numpy as np
-from mujoco.batch import Batch, SimulationError
 from numba import njit
 
-from workers.action import MODES, act_batch
+from workers.action import ABSOLUTE, MODES, TARGET, control, decode
 from workers.humanoid import DIVERGED, build_model
 from workers.kinematics import (
     JOINT_DOF,
@@ -22,19 +27,17 @@ from workers.kinematics import (
     NUM_DOF,
     NUM_JOINTS,
     NV,
-    conjugate,
     exponential,
     forward_kinematics,
-    logarithm,
     multiply,
     quaternion_at,
 )  # fmt: skip
 from workers.observation import OBSERVATION_SIZE, observe
 
 TANGENT = 2 * NV
-SIZE = 1e-4  # m, rad, m/s, rad/s, rad of PD target: 1e-3 and 1e-5 agree with it to 4 and 1 %
-_SEEN_SIZE = 1e-6  # of what is observed, which is smooth and exact
-_ROWS = 1024  # simulations that a thread steps side by side, at most
+_SIZE = 1e-6  # m, rad: of differences of what is smooth and exact: inverse dynamics, actuator targets, observations
+_STATES = 8  # whose matrices are multiplied together
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 @njit(cache=True, nogil=True)
@@ -65,43 +68,189 @@ def push(qpos, qvel, coordinate, size):
 
 
 @njit(cache=True, nogil=True)
-def difference(qpos, qvel, other_qpos, other_qvel, out):
-    """Tangent coordinates out (74,) that lead from one pose to another near it; the inverse of `push`."""
-    for c in range(3):
-        out[c] = other_qpos[c] - qpos[c]
-    out[3], out[4], out[5] = logarithm(multiply(conjugate(quaternion_at(qpos, 3)), quaternion_at(other_qpos, 3)))
+def _aim(action, mode, scale, qpos, target_qpos, pd_target, out):
+    decode(action, target_qpos if mode == TARGET else qpos, scale, mode == ABSOLUTE, pd_target)
+    control(pd_target, qpos, out)
+
+
+@njit(cache=True, nogil=True)
+def _aims(action, mode, scale, qpos, target_qpos, ctrl, out):
+    """Actuator targets into ctrl (31,), their derivatives by the state and by the action (31,) into out (31, 105)."""
+    pd_target, end, still = np.empty(NUM_DOF), np.empty(NUM_DOF), np.zeros(NV)
+    _aim(action, mode, scale, qpos, target_qpos, pd_target, ctrl)
+    out[:] = 0.0
+    for axis in range(3):  # of all joints at once: the targets of each depend on it alone
+        pose, acted = qpos.copy(), action.copy()
+        for joint in range(NUM_JOINTS):
+            if axis < JOINT_SIZE[joint]:
+                push(pose, still, 6 + JOINT_DOF[joint] + axis, _SIZE)
+                acted[JOINT_DOF[joint] + axis] += _SIZE
+        _aim(action, mode, scale, pose, target_qpos, pd_target, end)
+        _joint_differences(ctrl, end, axis, out[:, 6:NV])
+        _aim(acted, mode, scale, qpos, target_qpos, pd_target, end)
+        _joint_differences(ctrl, end, axis, out[:, TANGENT:])
+
+
+@njit(cache=True, nogil=True)
+def _joint_differences(start, end, axis, out):
     for joint in range(NUM_JOINTS):
-        at, start = 6 + JOINT_DOF[joint], JOINT_QPOS[joint]
-        if JOINT_SIZE[joint] == 1:
-            out[at] = other_qpos[start] - qpos[start]
-        else:
-            turn = multiply(conjugate(quaternion_at(qpos, start)), quaternion_at(other_qpos, start))
-            out[at], out[at + 1], out[at + 2] = logarithm(turn)
-    for i in range(NV):
-        out[NV + i] = other_qvel[i] - qvel[i]
+        first = JOINT_DOF[joint]
+        if axis < JOINT_SIZE[joint]:
+            for i in range(first, first + JOINT_SIZE[joint]):
+                out[i, first + axis] = (end[i] - start[i]) / _SIZE
 
 
 @njit(cache=True, nogil=True)
-def _push_rows(qpos, qvel, action, columns, per_unit):
-    """Row i: column columns[i] of (74 tangent coordinates, 31 numbers of the action) pushed; -1: none."""
-    for i in range(len(columns)):
-        if columns[i] >= TANGENT:
-            action[i, columns[i] - TANGENT] += SIZE * per_unit
-        elif columns[i] >= 0:
-            push(qpos[i], qvel[i], columns[i], SIZE)
+def _add_constraints(force, weight, damping, lengths, starts, columns, values, by_acceleration, by_velocity):
+    """Add the active constraints' part of dr by acceleration and by velocity (37, 37): J^T D J, J^T D b J.
+
+    A limit or a contact's edge exerts -D (J a + b J v + ...) while that is positive. force: what each exerts (MuJoCo's
+    efc_state may be of an iteration before). weight: D, damping: b; lengths, starts, columns, values: sparse J.
+    """
+    for row in range(len(force)):
+        if force[row] > 0.0:
+            for i in range(starts[row], starts[row] + lengths[row]):
+                for j in range(starts[row], starts[row] + lengths[row]):
+                    product = weight[row] * values[i] * values[j]
+                    by_acceleration[columns[i], columns[j]] += product
+                    by_velocity[columns[i], columns[j]] += damping[row] * product
 
 
 @njit(cache=True, nogil=True)
-def _differences(qpos, qvel, per_state, per_unit, columns, out):
-    """out (M, 74, per_state - 1): derivatives of M states, each a row without a push followed by its pushed rows."""
-    change = np.empty(TANGENT)
-    for m in range(out.shape[0]):
-        first = m * per_state
-        for k in range(1, per_state):
-            difference(qpos[first], qvel[first], qpos[first + k], qvel[first + k], change)
-            size = SIZE * per_unit if columns[first + k] >= TANGENT else SIZE
-            for c in range(TANGENT):
-                out[m, c, k - 1] = change[c] / size
+def _subtract_sparse(lengths, starts, columns, values, out):
+    for row in range(len(lengths)):
+        for i in range(starts[row], starts[row] + lengths[row]):
+            out[row, columns[i]] -= values[i]
+
+
+@njit(cache=True, nogil=True)
+def _advance_turn(turn, speed, pose, timestep):
+    """Derivatives pose (3, n) of an orientation, after it has gone on with a velocity (3,) whose own are speed (3, n).
+
+    Both in the turning frame: exp(-h v) pose + h J(h v) speed, J the right Jacobian of the exponential map.
+    """
+    x, y, z = timestep * turn[0], timestep * turn[1], timestep * turn[2]
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    if angle > 1e-3:  # what is left out below is 1e-9 of the rest there; above, rounding is
+        sine, cosine = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+        rest = (1.0 - sine) / square
+    else:
+        sine, cosine, rest = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
+    cross = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+    twice = cross @ cross
+    back = np.eye(3) - sine * cross + cosine * twice
+    right = np.eye(3) - cosine * cross + rest * twice
+    pose[:] = back @ pose.copy() + timestep * (right @ speed.copy())
+
+
+@njit(cache=True, nogil=True)
+def _advance(velocity, acceleration, timestep, state):
+    """Derivatives state (M, 74, n) a substep on, of whose accelerations they are acceleration (M, 37, n).
+
+    velocity: (M, 37), after the substep.
+    """
+    for m in range(len(state)):
+        pose, speed = state[m, :NV], state[m, NV:]
+        speed += timestep * acceleration[m]
+        pose[:3] += timestep * speed[:3]
+        _advance_turn(velocity[m, 3:6], speed[3:6], pose[3:6], timestep)
+        for joint in range(NUM_JOINTS):
+            i = 6 + JOINT_DOF[joint]
+            if JOINT_SIZE[joint] == 1:
+                pose[i] += timestep * speed[i]
+            else:
+                _advance_turn(velocity[m, i : i + 3], speed[i : i + 3], pose[i : i + 3], timestep)
+
+
+class _Simulation:
+    """A thread's own: plays policy steps of up to `_STATES` states and keeps how their substeps react."""
+
+    def __init__(self, config):
+        physics, self._mode, self._scale = config.physics, MODES[config.action.mode], config.action.scale
+        self._model, self._implicit = build_model(physics), build_model(physics)
+        # inverse dynamics of the acceleration that implicitfast integrates
+        self._model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
+        # its qDeriv has Coriolis forces, too; it plays nothing
+        self._implicit.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICIT
+        self._data, self._differences = mujoco.MjData(self._model), np.empty((NV, NV))
+        self._after = np.empty(mujoco.mj_stateSize(self._model, _STATE))
+        self._kp, self._limits = self._model.actuator_gainprm[:, 0], self._model.actuator_forcerange[:, 1]
+        self._damping, self._timestep, self._substeps = self._model.dof_damping, physics.timestep, physics.substeps
+        self._aims = np.empty((_STATES, NUM_DOF, TANGENT + NUM_DOF))  # derivatives of actuator targets
+        self._lost = np.empty(_STATES, dtype=bool)  # whose simulation exploded
+        shape = _STATES, physics.substeps
+        self._mass, self._constraint = np.empty((*shape, NV, NV)), np.empty((*shape, NV, NV))  # M, J^T D J
+        self._react = np.empty((*shape, NV, TANGENT))  # r by pose and velocity
+        self._stiffness = np.empty((*shape, NUM_DOF))  # of the actuators, N m / rad; 0 at their limits
+        self._velocity = np.empty((*shape, NV))  # after the substep
+
+    def play(self, m, physics, action, target_qpos, by_state):
+        """A policy step of state m, which begins at physics (nstate,); without by_state, not by its first state."""
+        data = self._data
+        mujoco.mj_resetData(self._model, data)
+        mujoco.mj_setState(self._model, data, physics, _STATE)
+        _aims(action, self._mode, self._scale, data.qpos, target_qpos, data.ctrl, self._aims[m])
+        try:
+            for k in range(self._substeps):
+                self._substep(m, k, by_state or k > 0)
+            self._lost[m] = data.warning.number[DIVERGED].any() or not np.isfinite(self._velocity[m]).all()
+        except mujoco.FatalError:
+            self._lost[m] = True
+        if self._lost[m]:  # the others of its stack can be solved
+            self._mass[m], self._constraint[m], self._react[m] = np.eye(NV), 0.0, 0.0
+            self._stiffness[m], self._velocity[m] = 0.0, 0.0
+
+    def _substep(self, m, k, by_state):
+        data, qpos, qvel = self._data, self._data.qpos.copy(), self._data.qvel.copy()
+        mujoco.mj_step(self._model, data)
+        # inertia, forces and constraints are still those of before the step
+        mass, constraint, react = self._mass[m, k], self._constraint[m, k], self._react[m, k]
+        mujoco.mj_fullM(self._model, data, mass)
+        constraint[:] = react[:] = 0.0
+        _add_constraints(
+            data.efc_force, data.efc_D, data.efc_KBIP[:, 1], data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind,
+            data.efc_J, constraint, react[:, NV:],
+        )  # fmt: skip
+        self._stiffness[m, k] = np.where(np.abs(data.actuator_force) < self._limits, self._kp, 0.0)
+        self._velocity[m, k] = data.qvel
+        if by_state:
+            mujoco.mj_getState(self._model, data, self._after, _STATE)
+            self._differentiate(qpos, qvel, react)
+            mujoco.mj_setState(self._model, data, self._after, _STATE)
+
+    def _differentiate(self, qpos, qvel, react):
+        """Derivatives of r by the state qpos, qvel that a substep began at, into react (37, 74), which has the
+        constraints' part of those by velocity; spoils the simulation's state."""
+        model, data = self._model, self._data
+        acceleration = (data.qvel - qvel) / self._timestep
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_implicit(self._implicit, data)
+        _subtract_sparse(model.D_rownnz, model.D_rowadr, model.D_colind, data.qDeriv, react[:, NV:])
+        data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, acceleration
+        mujoco.mjd_inverseFD(model, data, _SIZE, True, self._differences, None, None, None, None, None, None)
+        react[:, :NV] = self._differences.T
+
+    def chain(self, count, by_state):
+        """(count, 74, 105 or 31): derivatives of the policy steps of the first `count` states."""
+        aims = self._aims[:count, :, 0 if by_state else TANGENT :]
+        found = np.zeros((count, TANGENT, aims.shape[2]))
+        if by_state:
+            found[:, :, :TANGENT] = np.eye(TANGENT)
+        for k in range(self._substeps):
+            mass, constraint = self._mass[:count, k], self._constraint[:count, k]
+            react = self._react[:count, k]  # by halves: small enough that OpenBLAS starts no threads of its own
+            residual = react[:, :, :NV] @ found[:, :NV] + react[:, :, NV:] @ found[:, NV:]
+            residual[:, 6:] -= self._stiffness[:count, k, :, None] * aims
+            # what constraints see is M^-1 (M + h damping) a, the acceleration before damping is made implicit, so that
+            # dr/da = (M + J^T D J) M^-1 (M + h damping)
+            by_acceleration = mass + constraint
+            lag = self._timestep * self._damping
+            by_acceleration += lag * np.linalg.solve(mass, by_acceleration).transpose(0, 2, 1)
+            acceleration = -np.linalg.solve(by_acceleration, residual)
+            _advance(self._velocity[:count, k], acceleration, self._timestep, found)
+        found[self._lost[:count]] = np.nan
+        return found
 
 
 @njit(cache=True, nogil=True)
@@ -116,7 +265,7 @@ def _observe_differences(qpos, qvel, target_qpos, target_qvel, own, out):
         for c in range(TANGENT):
             q, v, places, size = qpos[m].copy(), qvel[m].copy(), bodies, 1.0  # velocities: linear, nothing moves
             if c < NV:
-                size, places = _SEEN_SIZE, moved
+                size, places = _SIZE, moved
             push(q, v, c, size)
             if c < NV:
                 forward_kinematics(q, moved, rotations)
@@ -131,10 +280,10 @@ class Derivatives:
     def __init__(self, config, threads):
         """config: `workers.config.EnvConfig`."""
         self._config, self._own = config, config.observation.target == "difference"
-        # a simulation and the Python around another's side by side: one batch for each thread, not threads for a batch
-        self._pool, self._batches = ThreadPoolExecutor(threads), SimpleQueue()
+        # a simulation and the Python around another's side by side
+        self._pool, self._simulations = ThreadPoolExecutor(threads), SimpleQueue()
         for _ in range(threads):
-            self._batches.put(Batch(build_model(config.physics), _ROWS, 1))
+            self._simulations.put(_Simulation(config))
 
     def of(self, physics, action, target_qpos, by_state=True):
         """(M, 74, 105) float32: the next state's tangent coordinates by this one's (74) and by the action's (31).
@@ -143,18 +292,16 @@ class Derivatives:
         policy's output. target_qpos: (M, 47). by_state: without, (M, 74, 31), by the action only. Where a simulation
         explodes there are numbers that are not finite.
         """
-        columns = np.arange(-1 if by_state else TANGENT - 1, TANGENT + NUM_DOF)
-        columns[0] = -1
-        found = np.empty((len(physics), TANGENT, len(columns) - 1), dtype=np.float32)
+        found = np.empty((len(physics), TANGENT, (TANGENT if by_state else 0) + NUM_DOF), dtype=np.float32)
 
         def some(part):
-            batch = self._batches.get()
+            simulation = self._simulations.get()
             try:
-                self._some(batch, physics[part], action[part], target_qpos[part], columns, found[part])
+                found[part] = self._some(simulation, physics[part], action[part], target_qpos[part], by_state)
             finally:
-                self._batches.put(batch)
+                self._simulations.put(simulation)
 
-        self._in_parts(some, len(physics), _ROWS // len(columns))
+        self._in_parts(some, len(physics), _STATES)
         return found
 
     def observed(self, qpos, qvel, target_qpos, target_qvel):
@@ -170,18 +317,7 @@ class Derivatives:
     def _in_parts(self, some, count, at_once):
         list(self._pool.map(some, [slice(first, first + at_once) for first in range(0, count, at_once)]))
 
-    def _some(self, batch, physics, action, target_qpos, columns, out):
-        mode, scale = MODES[self._config.action.mode], self._config.action.scale
-        per_state, rows = len(columns), len(physics) * len(columns)
-        batch.state[:rows].reshape(len(physics), per_state, -1)[:] = physics[:, None]
-        qpos, qvel, ctrl = (batch.bind(name)[:rows] for name in ("qpos", "qvel", "ctrl"))
-        acted, pushed = np.repeat(action.astype(np.float64), per_state, axis=0), np.tile(columns, len(physics))
-        _push_rows(qpos, qvel, acted, pushed, 1.0 / scale)
-        act_batch(acted, mode, scale, qpos, np.repeat(target_qpos, per_state, axis=0), np.empty_like(acted), ctrl)
-        batch.warning[:] = 0
-        try:
-            batch.step(np.arange(rows), nstep=self._config.physics.substeps)
-        except SimulationError as error:
-            qvel[error.ids] = np.nan
-        qvel[batch.warning[:rows, DIVERGED, 1].any(axis=1)] = np.nan
-        _differences(qpos, qvel, per_state, 1.0 / scale, pushed, out)
+    def _some(self, simulation, physics, action, target_qpos, by_state):
+        for m in range(len(physics)):
+            simulation.play(m, physics[m], action[m].astype(np.float64), target_qpos[m], by_state)
+        return simulation.chain(len(physics), by_state)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from workers.action import MODES, act_batch
-from workers.derivatives import TANGENT, Derivatives, difference, push
+from workers.derivatives import TANGENT, Derivatives, push
 from workers.environment import Environment, new_observations
 from workers.humanoid import build_model
 from workers.inference import PolicyNetwork
@@ -17,6 +17,7 @@ from workers.types import Thresholds
 
 NEVER = Thresholds(0.0, 0.0, 0.0)
 SIZE = 1e-4
+SMALL = 1e-6  # of a push on both sides, for what is exact but for kinks
 SOLES = {"physics.sole": 0.02, "action.scale": 2.5, "physics.tolerance": 1e-10}
 
 
@@ -45,6 +46,14 @@ def integrated(model, qpos, change):
     return out
 
 
+def difference(model, qpos, qvel, other_qpos, other_qvel):
+    """The change (74,) of tangent coordinates from one state to another, by MuJoCo."""
+    out = np.empty(TANGENT)
+    mujoco.mj_differentiatePos(model, out[:NV], 1.0, qpos, other_qpos)
+    out[NV:] = other_qvel - qvel
+    return out
+
+
 def after(config, model, physics, action, target_qpos, change):
     """(qpos, qvel) a policy step after a change (74,) of the state."""
     data = mujoco.MjData(model)
@@ -63,40 +72,67 @@ def after(config, model, physics, action, target_qpos, change):
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, TANGENT - 1))
-def test_a_push_is_mujocos_and_its_difference_leads_back(model, random_pose, seed, coordinate):
+def test_a_push_is_mujocos(model, random_pose, seed, coordinate):
     qpos, qvel = random_pose(seed)
     pushed, speed, change = qpos.copy(), qvel.copy(), np.zeros(TANGENT)
     push(pushed, speed, coordinate, 0.01)
     change[coordinate] = 0.01
     np.testing.assert_allclose(pushed, integrated(model, qpos, change[:NV]), atol=1e-12)
     np.testing.assert_allclose(speed, qvel + change[NV:], atol=1e-12)
-    found = np.empty(TANGENT)
-    difference(qpos, qvel, pushed, speed, found)
-    np.testing.assert_allclose(found, change, atol=1e-9)
 
 
+def pushed(config, model, physics, action, target_qpos, k):
+    """Column k of the derivatives (74,): a slow simulation pushed on both sides."""
+    ends = []
+    for size in (SMALL, -SMALL):
+        change, acted = np.zeros(TANGENT), action.astype(np.float64)
+        if k < TANGENT:
+            change[k] = size
+        else:
+            acted[k - TANGENT] += size / config.action.scale
+        ends.append(after(config, model, physics, acted, target_qpos, change))
+    return difference(model, *ends[1], *ends[0]) / (2 * SMALL if k < TANGENT else 2 * SMALL / config.action.scale)
+
+
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("by_state", (True, False))
-def test_they_are_those_of_one_simulation_after_the_other(states, by_state):
-    config, env, action = states
+def test_they_are_those_of_one_simulation_after_the_other(states, make_config, mode, by_state):
+    _, env, action = states
+    config = make_config({**SOLES, "action.mode": mode})
     model = build_model(config.physics)
     found = Derivatives(config, 1).of(env.physics, action, env.target_qpos, by_state)
     assert found.shape == (6, TANGENT, (TANGENT if by_state else 0) + NUM_DOF)
     for m in (0, 3):
-        rest = after(config, model, env.physics[m], action[m], env.target_qpos[m], np.zeros(TANGENT))
         for column in range(0, found.shape[2], 7):
             k = column if by_state else column + TANGENT
-            change, acted = np.zeros(TANGENT), action[m].astype(np.float64)
-            if k < TANGENT:
-                change[k] = SIZE
-            else:
-                acted[k - TANGENT] += SIZE / config.action.scale
-            qpos, qvel = after(config, model, env.physics[m], acted, env.target_qpos[m], change)
-            expected = np.empty(TANGENT)
-            mujoco.mj_differentiatePos(model, expected[:NV], 1.0, rest[0], qpos)
-            expected[NV:] = qvel - rest[1]
-            expected /= SIZE if k < TANGENT else SIZE / config.action.scale
-            scale = np.abs(expected).max()
-            np.testing.assert_allclose(found[m, :, column] / scale, expected / scale, atol=2e-3)
+            expected = pushed(config, model, env.physics[m], action[m], env.target_qpos[m], k)
+            np.testing.assert_allclose(found[m, :, column], expected, atol=1e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("sole", (0.0, 0.02))
+def test_they_are_so_at_the_limits_of_joints_and_actuators_and_falling(states, make_config, sole):
+    """Random poses on and in the floor, fast, with actions out of reach."""
+    _, env, _ = states
+    config, generator = make_config({**SOLES, "physics.sole": sole}), np.random.default_rng(2)
+    model = build_model(config.physics)
+    data, physics = mujoco.MjData(model), env.physics.copy()
+    met = set()
+    for m in range(6):
+        mujoco.mj_setState(model, data, physics[m], mujoco.mjtState.mjSTATE_INTEGRATION)
+        data.qpos[:] = integrated(model, data.qpos, generator.normal(0.0, 0.7, NV))
+        data.qpos[2] = env.qpos[m, 2] - 0.1 * m
+        data.qvel[:] = generator.normal(0.0, 3.0, NV)
+        mujoco.mj_forward(model, data)
+        met |= {mujoco.mjtConstraint(kind) for kind in data.efc_type}
+        mujoco.mj_getState(model, data, physics[m], mujoco.mjtState.mjSTATE_INTEGRATION)
+    assert met == {mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT, mujoco.mjtConstraint.mjCNSTR_CONTACT_PYRAMIDAL}
+    action = generator.normal(0.0, 0.3, (6, NUM_DOF))
+    found = Derivatives(config, 1).of(physics, action, env.target_qpos)
+    assert (np.abs(found[:, :, TANGENT:]).max(axis=1) == 0.0).any()  # actuators that are at their limits throughout
+    for m in range(6):
+        for k in range(0, TANGENT + NUM_DOF, 5):
+            expected = pushed(config, model, physics[m], action[m], env.target_qpos[m], k)
+            np.testing.assert_allclose(found[m, :, k], expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_a_rows_numbers_depend_on_nothing_but_the_row(states, assert_same_bits):
@@ -110,7 +146,7 @@ def test_a_rows_numbers_depend_on_nothing_but_the_row(states, assert_same_bits):
 
 
 def test_they_foretell_what_a_larger_change_does(states):
-    """On soles: a change of state and action together, twenty times the differences, to a tenth."""
+    """On soles: a change of state and action together, to a tenth."""
     config, env, action = states
     model, generator = build_model(config.physics), np.random.default_rng(1)
     found = Derivatives(config, 1).of(env.physics, action, env.target_qpos).astype(np.float64)
@@ -119,8 +155,7 @@ def test_they_foretell_what_a_larger_change_does(states):
         change, more = generator.normal(0.0, 2e-3, TANGENT), generator.normal(0.0, 2e-3, NUM_DOF)
         rest = after(config, model, env.physics[m], action[m], env.target_qpos[m], np.zeros(TANGENT))
         end = after(config, model, env.physics[m], action[m] + more, env.target_qpos[m], change)
-        true = np.empty(TANGENT)
-        difference(*rest, *end, true)
+        true = difference(model, *rest, *end)
         said = found[m] @ np.concatenate([change, more])
         missed, moved = missed + ((said - true)[:NV] ** 2).sum(), moved + (true[:NV] ** 2).sum()
     assert missed < 0.1**2 * moved
