@@ -12,7 +12,6 @@ import math
 import torch
 
 from learner.encoding import deviations, residuals, split
-from workers.windows import QUIET
 
 
 class SimulatedWindows:
@@ -56,7 +55,7 @@ class SimulatedWindows:
         """
         count, steps, size = len(chosen), *self._mean.shape[1:]
         noise = random.standard_normal((count, self._draws, steps, size), dtype="float32")
-        noise[:, :, steps - QUIET :] = 0.0  # it could hardly be corrected any more
+        noise[:, :, -1] = 0.0  # nothing corrects the last step's: it would only hide the rest
         noise = torch.as_tensor(noise, device=self._state.device) * self._deviation
         left = self.ends(torch.as_tensor(chosen, device=self._state.device), noise)
         # far off a pull that grows no more: a window in which all is sensitive does not outweigh the others

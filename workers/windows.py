@@ -1,9 +1,9 @@
 """Episodes played beside a chunk for the descent at arrival, with derivatives of physics before their nearest approach.
 
-What `arrival.physics=simulated` learns from (`learner.simulated_windows`). These episodes act as in the evaluation,
-with its noise, and go on past their arrival, so that they show how near the figure comes; their windows are played
-again, the last steps without noise. Nobody else knows of them. A function of (policy, thresholds, seed, environments,
-clock) and of nothing before: there is no state to keep.
+What `arrival.physics=simulated` learns from (`learner.simulated_windows`). Tasks of these episodes are drawn as training's
+are; they act as in the evaluation, with its noise, and go on past their arrival, so that they show how near the figure
+comes; their windows are played again, the last steps without noise. Nobody else knows of them. A function of (policy,
+thresholds, seed, environments, clock) and of nothing before: there is no state to keep.
 """
 
 import numpy as np
@@ -48,7 +48,7 @@ class Scouts:
         """`Windows` of a policy beside the chunk that begins at `clock`; environment: (N,), indices in the run."""
         environment = environment[drawn(self._seed, environment, clock, self._config.arrival.share)]
         network, deviation = PolicyNetwork(policy, self._env.num_envs), np.float32(np.exp(policy.judge_log_sigma))
-        left, physics = self._play(network, deviation, environment, clock)
+        left, physics = self._play(network, deviation, thresholds, environment, clock)
         limits = self._limits(thresholds, len(environment))
         with np.errstate(invalid="ignore"):
             ratio = (left / limits).max(axis=2)
@@ -74,13 +74,14 @@ class Scouts:
         limits = thresholds.of(self._env.groups(thresholds, rows))[:, :3]
         return np.maximum(limits * curriculum.factor**self._config.arrival.lead, curriculum.floor)
 
-    def _play(self, network, deviation, environment, clock):
+    def _play(self, network, deviation, thresholds, environment, clock):
         """(deviations after each of H steps of the first n rows (H, n, 3), infinite from a fall on; physics before)."""
         env, n, steps = self._env, len(environment), self._config.task.time_limit
         rows, index = np.arange(n), np.zeros(self._env.num_envs, dtype=np.int64)
         index[:n] = environment
         env.end[:] = 0  # nobody has failed: all tasks are new
-        env.plan(self._seed, index, np.full(env.num_envs, _EPISODES + clock), rows)
+        focus = np.full(env.num_envs, self._config.task.focus)
+        env.plan(self._seed, index, np.full(env.num_envs, _EPISODES + clock), rows, focus, thresholds.shares)
         env.begin(rows)
         left, physics = np.empty((steps, n, 3)), np.empty((steps, n, env.physics.shape[1]))
         action = np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)

@@ -140,8 +140,7 @@ def test_its_loss_is_the_mean_of_what_is_left_under_noise(lesson):
     sigma = np.exp(config.policy.judge_log_sigma) / config.action.scale
     draws = config.arrival.draws
     noise = np.random.default_rng(7).standard_normal((3, draws, STEPS, 31), dtype=np.float32) * 0.5 * sigma
-    noise[:, :, -windows.QUIET :] = 0.0
-    assert STEPS > windows.QUIET and np.abs(noise).max() > 0
+    noise[:, :, -1] = 0.0
     with torch.no_grad():
         left = found.ends(torch.as_tensor(chosen), torch.as_tensor(noise, dtype=torch.float32)).numpy()
         loss = found.loss(chosen, np.random.default_rng(7)).item()

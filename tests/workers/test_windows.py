@@ -15,7 +15,7 @@ from workers.derivatives import Derivatives
 from workers.environment import Environment, new_observations
 from workers.inference import PolicyNetwork
 from workers.kinematics import forward_kinematics_batch
-from workers.planner import draw_task
+from workers.planner import draw_task, number_of_cells
 from workers.rollout import Rollout
 from workers.types import Thresholds, concatenate_windows
 from workers.windows import Scouts, drawn
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("everybody_is_near")
 STEPS, HORIZON, SEED, N = 2, 8, 5, 24
 ON = {
     "task.max_steps": 10, "physics.sole": 0.02, "arrival.weight": 1.0, "arrival.physics": "simulated",
-    "arrival.steps": STEPS, "arrival.share": 0.6, "policy.judges": 4,
+    "arrival.steps": STEPS, "arrival.share": 0.6, "policy.judges": 4, "task.focus": 0.7,
 }  # fmt: skip
 INDEX = np.arange(N)
 
@@ -82,7 +82,9 @@ def test_they_end_at_the_nearest_step_of_episodes_that_go_past_their_arrival(sco
     own = np.maximum(np.array([0.35, 3.0, 0.2]) * 0.9**5, [0.01, 0.09, 0.15])
     assert own[2] == 0.15
     # once more, for who fell when
-    left, physics = scouts._play(PolicyNetwork(policy, N), np.float32(np.exp(-4.0)), who, 16)
+    left, physics = scouts._play(
+        PolicyNetwork(policy, N), np.float32(np.exp(-4.0)), Thresholds(0.35, 3.0, 0.2), who, 16
+    )
     for row, environment in enumerate(who):
         far = []
         for t in range(10):
@@ -140,9 +142,11 @@ def test_but_for_the_last_steps_the_noise_is_that_of_before(scouts, policy, easy
         assert (kept.actions[at[0]][row] != found.mean[m, 0]).any()
 
 
-def test_they_act_as_in_the_evaluation_on_tasks_drawn_alike(scouts, library, config, policy):
-    network = PolicyNetwork(policy, N)
-    scouts._play(network, np.float32(np.exp(policy.judge_log_sigma)), INDEX, 8)
+def test_they_act_as_in_the_evaluation_on_tasks_of_training(scouts, library, config, policy, easy):
+    network, cells = PolicyNetwork(policy, N), number_of_cells(library)
+    shares = np.cumsum(np.arange(1, cells + 1)) / np.arange(1, cells + 1).sum()
+    focused = dataclasses.replace(easy, shares=tuple(shares.tolist()))
+    scouts._play(network, np.float32(np.exp(policy.judge_log_sigma)), focused, INDEX, 8)
     noise = np.array(
         [action - network.mean(seen) for action, seen in zip(scouts.kept.actions, scouts.kept.observations)]
     ).astype(np.float64)
@@ -151,10 +155,8 @@ def test_they_act_as_in_the_evaluation_on_tasks_drawn_alike(scouts, library, con
     steps = noise.reshape(len(noise), -1)
     assert abs(np.corrcoef(steps)[np.triu_indices(len(noise), 1)]).max() < 0.15  # independent from step to step
     task = np.empty(4)
-    for environment in (0, 7):
-        draw_task(
-            SEED, environment, 2**40 + 9, library.groups, library.cancel, library.rotation, 0.0, np.zeros(0), task
-        )
+    for environment in range(N):
+        draw_task(SEED, environment, 2**40 + 9, library.groups, library.cancel, library.rotation, 0.7, shares, task)
         np.testing.assert_array_equal(scouts._env.task[environment], task)
     assert uniforms(SEED, TASK, 0, 2**40 + 9, 0) != uniforms(SEED, DERIVATIVES, 0, 2**40 + 9, 0)
 
