@@ -1,7 +1,7 @@
 """Episodes played beside a chunk for the descent at arrival, with derivatives of physics before their nearest approach.
 
-What `arrival.physics=simulated` learns from (`learner.simulated_windows`). Tasks of these episodes are drawn as training's
-are; they act as in the evaluation, with its noise, and go on past their arrival, so that they show how near the figure
+What `arrival.physics=simulated` learns from (`learner.simulated_windows`). Their tasks are drawn as training's are;
+they act as in the evaluation, with its noise, and go on past their arrival, so that they show how near the figure
 comes; their windows are played again, the last steps without noise. Nobody else knows of them. A function of (policy,
 thresholds, seed, environments, clock) and of nothing before: there is no state to keep.
 """
