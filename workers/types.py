@@ -194,6 +194,7 @@ class Windows:
     by_action: (M, K, 74, 31), x_{k+1} by the action of step k.
     by_state: (M, K - 1, 74, 74), x_{k+1} by x_k, of the steps from the second on.
     seen: (M, K, 282, 74), the observation of x_{k+1} by x_{k+1}.
+    An episode of fewer steps stands still in x_0 at first: observation and mean repeated, derivatives zero.
     """
 
     environment: np.ndarray

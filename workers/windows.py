@@ -52,18 +52,19 @@ class Scouts:
         limits = self._limits(thresholds, len(environment))
         with np.errstate(invalid="ignore"):
             ratio = (left / limits).max(axis=2)
-        first = ratio.argmin(axis=0) - self._config.arrival.steps + 1
-        rows = np.flatnonzero((ratio.min(axis=0, initial=np.inf) < NEAR) & (first >= 0))
+        rows = np.flatnonzero(ratio.min(axis=0, initial=np.inf) < NEAR)
+        first = ratio.argmin(axis=0)[rows] - self._config.arrival.steps + 1
         noise = [
-            deviation * self._noise(environment[rows], clock, first[rows] + k)
+            deviation * self._noise(environment[rows], clock, np.maximum(first + k, 0))
             for k in range(self._config.arrival.steps)
         ]
         for unseen in noise[-QUIET:]:
             unseen[:] = 0.0
+        begin = np.maximum(-first, 0)
         made = Windows(
             environment=environment[rows],
             limits=limits[rows].astype(np.float32),
-            **self._last_steps(network, physics[first[rows], rows], rows, noise),
+            **self._last_steps(network, physics[np.maximum(first, 0), rows], rows, begin, noise),
         )
         fine = np.isfinite(made.by_action).all(axis=(1, 2, 3)) & np.isfinite(made.by_state).all(axis=(1, 2, 3))
         return made if fine.all() else made.take(np.flatnonzero(fine))
@@ -101,35 +102,32 @@ class Scouts:
         fill_normal(self._seed, DERIVATIVES, environment, (clock << 16) + step, noise)
         return noise.astype(np.float32)
 
-    def _last_steps(self, network, physics, rows, noise):
+    def _last_steps(self, network, physics, rows, begin, noise):
         """{name: array} of `Windows`, of the steps that follow on states (M, nstate) in rows (M,), with noise, (M, 31)
-        of each."""
+        of each step, from step begin (M,) of the window on."""
         env, steps, count = self._env, self._config.arrival.steps, len(rows)
-        target = env.target_qpos[rows], env.target_qvel[rows]
         env.place(physics, rows)
         action = np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
-        found = {name: [] for name in ("observation", "mean", "by_action", "by_state", "seen")}
-        found["observation"].append(env.observe(new_observations(count), rows))
-        for k in range(steps):
-            mean, before = network.mean(found["observation"][-1]).copy(), env.physics[rows]
-            action[rows] = mean + noise[k]
-            derivatives = self._derivatives.of(before, action[rows], target[0], by_state=k > 0)
-            env.step(action, NEVER, rows)
-            found["observation"].append(env.observe(new_observations(count), rows))
-            found["mean"].append(mean)
-            found["by_action"].append(derivatives[:, :, -NUM_DOF:])
-            found["seen"].append(self._derivatives.observed(env.qpos[rows], env.qvel[rows], *target))
-            if k:
-                found["by_state"].append(derivatives[:, :, :TANGENT])
-        shapes = {
-            "observation": (OBSERVATION_SIZE,), "mean": (NUM_DOF,), "by_action": (TANGENT, NUM_DOF),
-            "by_state": (TANGENT, TANGENT), "seen": (OBSERVATION_SIZE, TANGENT),
+        made = {
+            name: np.zeros((count, *shape), dtype=np.float32)
+            for name, shape in (
+                ("observation", (steps + 1, OBSERVATION_SIZE)), ("mean", (steps, NUM_DOF)),
+                ("by_action", (steps, TANGENT, NUM_DOF)), ("by_state", (steps - 1, TANGENT, TANGENT)),
+                ("seen", (steps, OBSERVATION_SIZE, TANGENT)),
+            )
         }  # fmt: skip
-        return {name: _stack(parts, count, *shapes[name]) for name, parts in found.items()}
-
-
-def _stack(parts, count, *shape):
-    """(count, len(parts), *shape) float32."""
-    if not parts:
-        return np.empty((count, 0, *shape), dtype=np.float32)
-    return np.ascontiguousarray(np.stack(parts, axis=1), dtype=np.float32)
+        env.observe(made["observation"][:, 0], rows)
+        for k in range(steps):
+            made["mean"][:, k] = network.mean(made["observation"][:, k])
+            on = np.flatnonzero(begin <= k)
+            acting, before = rows[on], env.physics[rows[on]]
+            target = env.target_qpos[acting], env.target_qvel[acting]
+            action[acting] = made["mean"][on, k] + noise[k][on]
+            derivatives = self._derivatives.of(before, action[acting], target[0], by_state=k > 0)
+            env.step(action, NEVER, acting)
+            env.observe(made["observation"][:, k + 1], rows)
+            made["by_action"][on, k] = derivatives[:, :, -NUM_DOF:]
+            made["seen"][on, k] = self._derivatives.observed(env.qpos[acting], env.qvel[acting], *target)
+            if k:
+                made["by_state"][on, k - 1] = derivatives[:, :, :TANGENT]
+        return made

@@ -31,14 +31,14 @@ pytestmark = pytest.mark.usefixtures("everybody_is_near")
 
 @pytest.fixture(scope="module")
 def lesson(library, make_config, easy, everybody_is_near):
-    """(configuration, the chunk of the policy of seed 1, the states that its windows begin in, their targets)."""
+    """(configuration, the chunk of the policy of seed 1, its windows' first states, first steps and targets)."""
     config = make_config(ON)
     rollout, kept = Rollout(config, library, N, config.horizon, seed=5), {}
     scouts, last_steps = rollout._scouts, rollout._scouts._last_steps
 
-    def watched(network, physics, rows, noise):
-        kept["states"] = physics.copy(), scouts._env.target_qpos[rows], scouts._env.target_qvel[rows]
-        return last_steps(network, physics, rows, noise)
+    def watched(network, physics, rows, begin, noise):
+        kept["states"] = physics.copy(), begin, scouts._env.target_qpos[rows], scouts._env.target_qvel[rows]
+        return last_steps(network, physics, rows, begin, noise)
 
     scouts._last_steps = watched
     with pytest.MonkeyPatch.context() as patch:
@@ -51,7 +51,7 @@ def lesson(library, make_config, easy, everybody_is_near):
 def played(lesson, library, policy, changes=None):
     """(d^rp, d^kp, d^q (M, 3) in thresholds, residuals (M, 60)) where each window ends if `policy` acts in it, with
     changes (M, K, 31) of its outputs."""
-    config, chunk, (physics, *target) = lesson
+    config, chunk, (physics, begin, *target) = lesson
     found = chunk.windows
     env = Environment(config, library, len(found))
     env.place(physics, np.arange(len(found)))
@@ -62,7 +62,8 @@ def played(lesson, library, policy, changes=None):
         with torch.no_grad():
             # the normalizer has seen nothing yet
             action = policy(seen.clamp(-10.0, 10.0)).numpy()
-        env.step(action if changes is None else action + changes[:, k], Thresholds(0.0, 0.0, 0.0))
+        changed = action if changes is None else action + changes[:, k]
+        env.step(changed, Thresholds(0.0, 0.0, 0.0), np.flatnonzero(begin <= k))
     end = torch.as_tensor(env.observe(new_observations(len(found))).astype(np.float64))
     left = residuals(*split(end, True), torch.as_tensor(found.limits, dtype=torch.float64)).numpy()
     return env.deviations[:, [RP, KP, Q]] / found.limits, left
