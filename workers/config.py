@@ -129,7 +129,7 @@ class ArrivalConfig:
     """Its gradient is clipped as PPO's is and added to it with this weight. 0, the paper: none."""
     physics: str = "learned"
     """Whose derivatives: `learned`, a network's that learns from the chunks; `simulated`, those of physics itself
-    (`workers/derivatives.py`), which take as long as some 20 to 30 simulated steps for each step of a window."""
+    (`workers/derivatives.py`), which take as long as some 30 simulated steps for each step of a window."""
     share: float = 0.3
     """simulated: share of the environments beside which an episode is played for it in every chunk."""
     lead: int = 5
@@ -141,8 +141,8 @@ class ArrivalConfig:
     draws: int = 4
     """simulated: draws of that noise for each episode and step of the policy."""
     steps: int = 5
-    """K, how many steps before the nearest approach are followed again; episodes with fewer (learned: in a chunk) are
-    left out."""
+    """K, how many steps before the nearest approach are followed again. learned: episodes with fewer in a chunk are left
+    out. simulated: of shorter ones all steps."""
     batch_size: int = 64
     """Episodes per step of the policy, at most."""
     hidden: list[int] = field(default_factory=lambda: [512, 512])
