@@ -141,8 +141,8 @@ class ArrivalConfig:
     draws: int = 4
     """simulated: draws of that noise for each episode and step of the policy."""
     steps: int = 5
-    """K, how many steps before the nearest approach are followed again. learned: episodes with fewer in a chunk are left
-    out. simulated: of shorter ones all steps."""
+    """K, how many steps before the nearest approach are followed again. learned: episodes with fewer in a chunk are
+    left out. simulated: of shorter ones all steps."""
     batch_size: int = 64
     """Episodes per step of the policy, at most."""
     hidden: list[int] = field(default_factory=lambda: [512, 512])
