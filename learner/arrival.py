@@ -1,9 +1,9 @@
 """Descent of what is left to the target at arrival, through the physics of the last steps (not in the paper).
 
-PPO learns from one number per episode; the pose that it came to says in all its numbers how to correct. Of episodes
-that came near their target, the last K steps before they were nearest are looked at again. Values are those that were
-observed; what changes of the policy would have changed is told by a network (`learner.learned_windows`) or by physics
-itself (`learner.simulated_windows`), by what an action does and by what later actions make of it.
+PPO learns from one number per episode; the pose that it came to says in all its numbers how to correct. K steps of
+episodes that came near their target are looked at again. What changes of the policy would have changed is told by a
+network, of the last steps before they were nearest (`learner.learned_windows`), or by physics itself, of any steps
+(`learner.simulated_windows`), by what an action does and by what later actions make of it.
 """
 
 import torch
@@ -24,6 +24,10 @@ class Arrival:
         self._random = state.random(ARRIVALS)
         self._windows = (LearnedWindows if config.physics == "learned" else SimulatedWindows)(state, chunk)
         self._metrics = {"loss/arrival": 0.0, "gradient/arrival": 0.0, **self._windows.metrics}
+
+    def inputs(self):
+        """The policy's inputs in windows that are not of the chunk's own steps: [(n, 282)] or []."""
+        return [self._windows.inputs()] if isinstance(self._windows, SimulatedWindows) else []
 
     def gradient(self):
         """(what to add to the policy's gradients, in its parameters' order, or None; metrics) of a few windows."""

@@ -6,7 +6,15 @@ import numpy as np
 import torch
 
 from learner.gae import advantages
-from workers.types import TIMED_OUT, Chunk, Outcomes, concatenate_outcomes, concatenate_windows, judging
+from workers.types import (
+    TIMED_OUT,
+    Chunk,
+    Outcomes,
+    concatenate_outcomes,
+    concatenate_trials,
+    concatenate_windows,
+    judging,
+)
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,7 @@ def concatenate_chunks(chunks):
         outcomes=concatenate_outcomes(outcomes),
         version=chunks[0].version,
         windows=concatenate_windows([chunk.windows for chunk in chunks]) if chunks[0].windows is not None else None,
+        trials=concatenate_trials([chunk.trials for chunk in chunks]) if chunks[0].trials is not None else None,
         **{
             name: np.concatenate([getattr(chunk, name) for chunk in chunks], axis=1)
             for name in (

@@ -14,8 +14,8 @@ from learner.dynamics import moved
 from learner.encoding import deviations
 from learner.state import PHYSICS
 from workers.types import judging
-from workers.windows import NEAR
 
+NEAR = 4.0  # thresholds; who came no nearer is left to PPO
 _POWER = 4  # of the norm that stands for the largest of the three deviations
 
 

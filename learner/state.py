@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import torch
 
+from learner.cost_to_go import CostToGo
 from learner.dynamics import Dynamics
 from learner.kfac import KFAC
 from learner.networks import build_networks, snapshot
@@ -12,7 +13,7 @@ from learner.normalizer import Normalizer
 from workers.observation import OBSERVATION_SIZE
 
 # Streams of the learner's random numbers
-SHUFFLE, DEMONSTRATIONS, PHYSICS, ARRIVALS = range(4)
+SHUFFLE, DEMONSTRATIONS, PHYSICS, ARRIVALS, FORESIGHT = range(5)
 
 
 class LearnerState:
@@ -31,9 +32,12 @@ class LearnerState:
         self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
-        self.dynamics = None
-        if config.arrival.weight and config.arrival.physics == "learned":
-            self.dynamics = Dynamics(config.arrival.hidden, config, torch.Generator().manual_seed(seed), device)
+        self.dynamics = self.cost_to_go = None
+        arrival, generator = config.arrival, torch.Generator().manual_seed(seed)
+        if arrival.weight and arrival.physics == "learned":
+            self.dynamics = Dynamics(arrival.hidden, config, generator, device)
+        elif arrival.weight:
+            self.cost_to_go = CostToGo(arrival.hidden, arrival.discount, generator, device)
         self.updates = self.skipped = 0
 
     _PARTS = ("policy", "value", "policy_optimizer", "value_optimizer", "observations", "returns")
@@ -98,7 +102,7 @@ class LearnerState:
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint; shares memory with the networks."""
         parts = {name: getattr(self, name).state_dict() for name in self._PARTS}
-        for name in ("average", "dynamics"):
+        for name in ("average", "dynamics", "cost_to_go"):
             parts[name] = getattr(self, name) and getattr(self, name).state_dict()
         numbers = {name: getattr(self, name) for name in self._NUMBERS}
         return {**parts, **numbers}
@@ -110,8 +114,9 @@ class LearnerState:
             getattr(self, name).load_state_dict(state[name])
         if self.average:
             self.average.load_state_dict(state["average"] or state["policy"])
-        if self.dynamics and state.get("dynamics"):  # not of a learner without
-            self.dynamics.load_state_dict(state["dynamics"])
+        for name in ("dynamics", "cost_to_go"):
+            if getattr(self, name) and state.get(name):  # not of a learner without
+                getattr(self, name).load_state_dict(state[name])
         for name in self._NUMBERS:
             setattr(self, name, state[name])
 
@@ -122,8 +127,9 @@ class LearnerState:
     def is_finite(self):
         """Whether every parameter and every normalizer's number is."""
         tensors = [*self.policy.parameters(), *self.value.parameters()]
-        if self.dynamics:
-            tensors += self.dynamics.network.parameters()
+        for part in (self.dynamics, self.cost_to_go):
+            if part:
+                tensors += part.network.parameters()
         for normalizer in (self.observations, self.returns):
             tensors += [normalizer.mean, normalizer.squares]
         return bool(torch.stack([torch.isfinite(tensor).all() for tensor in tensors]).all())

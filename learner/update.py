@@ -60,7 +60,7 @@ def _epochs(state, batch, demonstrator, arrival):
     Of a single epoch it is that of the second half: what `target_kl` means is then much the same as with two.
     """
     shuffle = state.random(SHUFFLE)
-    _ready(state, batch, demonstrator, shuffle)
+    _ready(state, batch, demonstrator, arrival, shuffle)
     sums, divergences = {}, []
     epochs = state.config.ppo.passes(state.method)
     for _ in range(epochs):
@@ -76,7 +76,7 @@ def _epochs(state, batch, demonstrator, arrival):
     return {name: float(total) / steps for name, total in sums.items()}, float(sum(late)) / len(late)
 
 
-def _ready(state, batch, demonstrator, shuffle):
+def _ready(state, batch, demonstrator, arrival, shuffle):
     """The policy's optimizer made ready for this update's steps."""
     method = state.config.ppo.method(state.updates)
     if state.method != method:
@@ -84,10 +84,10 @@ def _ready(state, batch, demonstrator, shuffle):
     for group in state.policy_optimizer.param_groups:
         group["lr"] = state.learning_rate
     if method == "kfac":
-        # both losses' inputs: where PPO's hardly vary, their own curvature alone would let steps of SBC diverge
+        # all losses' inputs: where PPO's hardly vary, their own curvature alone would let steps of SBC diverge
         some = shuffle.permutation(batch.explored)[: state.config.ppo.minibatch_size]
         rows = torch.as_tensor(some, device=state.device)
-        inputs = torch.cat([batch.inputs[rows], *demonstrator.inputs()])
+        inputs = torch.cat([batch.inputs[rows], *demonstrator.inputs(), *arrival.inputs()])
         sigma = batch.sigma.new_full([len(inputs)], typical(batch.sigma[rows]))
         sigma[: len(rows)] = batch.sigma[rows]
         state.policy_optimizer.observe(inputs, sigma)

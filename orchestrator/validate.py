@@ -104,6 +104,7 @@ RULES = {
     "arrival.lead": at_least(0),
     "arrival.noise": at_least(0),
     "arrival.draws": at_least(1),
+    "arrival.discount": FACTOR,
     "arrival.steps": at_least(1),
     "arrival.batch_size": at_least(1),
     "arrival.hidden": every(at_least(1)),

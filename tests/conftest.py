@@ -293,7 +293,7 @@ def columns():
 
 @pytest.fixture(scope="module")
 def everybody_is_near():
-    """Windows of all episodes, however far they stay from their targets."""
-    kept, windows.NEAR = windows.NEAR, 1e9
+    """Windows of all episodes, however far they are from their targets."""
+    kept, windows.FAR = windows.FAR, 1e9
     yield
-    windows.NEAR = kept
+    windows.FAR = kept

@@ -141,12 +141,15 @@ class ArrivalConfig:
     draws: int = 4
     """simulated: draws of that noise for each episode and step of the policy."""
     steps: int = 5
-    """K, how many steps before the nearest approach are followed again. learned: episodes with fewer in a chunk are
-    left out. simulated: of shorter ones all steps."""
+    """K, how many steps are followed again. learned: those before the nearest approach; episodes with fewer in a chunk
+    are left out. simulated: up to any step of an episode, all steps of what is shorter."""
+    discount: float = 0.93
+    """simulated: of what is left after each further step; after the last of a window a network foresees the rest."""
     batch_size: int = 64
     """Episodes per step of the policy, at most."""
     hidden: list[int] = field(default_factory=lambda: [512, 512])
-    """learned: units of the hidden layers of the network (SiLU)."""
+    """Units of the hidden layers of the network (SiLU) that learns physics (learned) or what is left later
+    (simulated)."""
 
 
 @dataclass

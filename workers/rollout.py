@@ -78,6 +78,7 @@ class Rollout:
                 limits.append(thresholds.of(env.groups(thresholds, ids))[:, :3])
                 env.plan(self._seed, index, episode, ids, focus, thresholds.shares)
                 env.begin(ids)
+        windows, trials = self._scouts.play(policy, thresholds, index, state.clock) if self._scouts else (None, None)
         chunk = Chunk(
             environment=index.copy(),
             observation=observation,
@@ -94,7 +95,8 @@ class Rollout:
             outcomes=concatenate_outcomes(ended),
             version=policy.version,
             log_sigma=log_sigma,
-            windows=self._scouts and self._scouts.windows(policy, thresholds, index, state.clock),
+            windows=windows,
+            trials=trials,
         )
         return chunk, env.save(index, episode, clock)
 

@@ -185,20 +185,22 @@ def concatenate_outcomes(items):
 
 @dataclass(frozen=True)
 class Windows:
-    """M windows of K steps, which end where an episode was nearest to its target, with the derivatives of physics along
-    them (`workers.derivatives`). Ordered by environment; float32 unless said otherwise.
+    """M windows of K steps of episodes, with the derivatives of physics along them (`workers.derivatives`). Ordered by
+    environment; float32 unless said otherwise.
 
     A state x has 74 tangent coordinates; x_0 is the state before the first step, x_{k+1} that after step k.
     environment: (M,) int64, index in the run. limits: (M, 3), what d^rp, d^kp, d^q are measured by.
+    begin: (M,) int64, the first step that is one of the episode's, which began with it if that is not 0: until then the
+    window stands still in x_0, observation and mean repeated, derivatives zero.
     observation: (M, K + 1, 282), of x_0 to x_K. mean: (M, K, 31), the policy's output, without noise.
     by_action: (M, K, 74, 31), x_{k+1} by the action of step k.
     by_state: (M, K - 1, 74, 74), x_{k+1} by x_k, of the steps from the second on.
     seen: (M, K, 282, 74), the observation of x_{k+1} by x_{k+1}.
-    An episode of fewer steps stands still in x_0 at first: observation and mean repeated, derivatives zero.
     """
 
     environment: np.ndarray
     limits: np.ndarray
+    begin: np.ndarray
     observation: np.ndarray
     mean: np.ndarray
     by_action: np.ndarray
@@ -220,6 +222,36 @@ def concatenate_windows(items):
 
 
 @dataclass(frozen=True)
+class Trials:
+    """M episodes of H steps that go on when they have arrived: what windows are of. Ordered by environment.
+
+    environment: (M,) int64, index in the run. limits: (M, 3) float32, what d^rp, d^kp, d^q are measured by.
+    observation: (H + 1, M, 282) float32, before each step and after the last.
+    standing: (H, M) bool, whether the figure has not fallen by the end of each step.
+    """
+
+    environment: np.ndarray
+    limits: np.ndarray
+    observation: np.ndarray
+    standing: np.ndarray
+
+    def __len__(self):
+        return len(self.environment)
+
+
+def concatenate_trials(items):
+    """One `Trials` of a sequence of them, in order."""
+    environment = np.concatenate([item.environment for item in items])
+    order = np.argsort(environment, kind="stable")
+    return Trials(
+        environment=environment[order],
+        limits=np.concatenate([item.limits for item in items])[order],
+        observation=np.concatenate([item.observation for item in items], axis=1)[:, order],
+        standing=np.concatenate([item.standing for item in items], axis=1)[:, order],
+    )
+
+
+@dataclass(frozen=True)
 class Chunk:
     """T steps of N environments: what PPO and SBC learn from. float32 unless said otherwise.
 
@@ -235,7 +267,7 @@ class Chunk:
     outcomes: the episodes that ended.
     version: version of the policy that acted.
     log_sigma: (T, N) float64, log standard deviation of its actions; not that of judges.
-    windows: with `arrival.physics=simulated`; else None.
+    windows, trials: with `arrival.physics=simulated`; else None.
     """
 
     environment: np.ndarray
@@ -254,3 +286,4 @@ class Chunk:
     version: int
     log_sigma: np.ndarray
     windows: Windows | None = None
+    trials: Trials | None = None

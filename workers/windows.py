@@ -1,8 +1,8 @@
-"""Episodes played beside a chunk for the descent at arrival, with derivatives of physics before their nearest approach.
+"""Episodes played beside a chunk for the descent at arrival, with derivatives of physics along a few steps of each.
 
 What `arrival.physics=simulated` learns from (`learner.simulated_windows`). Their tasks are drawn as training's are;
-they act as in the evaluation, with its noise, and go on past their arrival, so that they show how near the figure
-comes; their windows are played again, the last steps without noise. Nobody else knows of them. A function of (policy,
+they act as in the evaluation, with its noise, and go on past their arrival, so that they show whether the figure stays;
+their windows are played again, the last steps without noise. Nobody else knows of them. A function of (policy,
 thresholds, seed, environments, clock) and of nothing before: there is no state to keep.
 """
 
@@ -16,14 +16,14 @@ from workers.inference import PolicyNetwork
 from workers.kinematics import NUM_DOF
 from workers.observation import OBSERVATION_SIZE
 from workers.reward import KP, RP, Q
-from workers.types import FELL, Thresholds, Windows
+from workers.types import FELL, Thresholds, Trials, Windows
 
 # last steps of a window without noise, which the policy could hardly correct any more: it would hide the rest
 QUIET = 3
-NEAR = 4.0  # thresholds; who came no nearer is left to PPO
+FAR = 60.0  # thresholds; who is farther off after a step is left to PPO
 NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
 _EPISODES = 2**40  # from here on their tasks are numbered, by the clock: those of training never get there
-_DRAW = 2**20  # the block of the number that says who plays; noise has the first few
+_DRAW = 2**20  # the block of the numbers that say who plays and where windows end; noise has the first few
 
 
 @njit(cache=True)
@@ -32,6 +32,17 @@ def drawn(seed, environment, clock, share):
     out = np.empty(len(environment), dtype=np.bool_)
     for i in range(len(environment)):
         out[i] = uniforms(seed, DERIVATIVES, environment[i], clock, _DRAW)[0] < share
+    return out
+
+
+@njit(cache=True)
+def _last(seed, environment, clock, near):
+    """(n,): one of the steps near (H, n) of each, all equally likely; -1 where there is none."""
+    out = np.full(near.shape[1], -1, dtype=np.int64)
+    for i in range(len(out)):
+        steps = np.flatnonzero(near[:, i])
+        if len(steps):
+            out[i] = steps[int(uniforms(seed, DERIVATIVES, environment[i], clock, _DRAW)[1] * len(steps))]
     return out
 
 
@@ -44,16 +55,17 @@ class Scouts:
         self._env = Environment(config, library, num_envs, threads)
         self._derivatives = Derivatives(config, threads)
 
-    def windows(self, policy, thresholds, environment, clock):
-        """`Windows` of a policy beside the chunk that begins at `clock`; environment: (N,), indices in the run."""
+    def play(self, policy, thresholds, environment, clock):
+        """(`Windows`, `Trials`) of a policy beside the chunk that begins at `clock`; environment: (N,), indices in the
+        run."""
         environment = environment[drawn(self._seed, environment, clock, self._config.arrival.share)]
         network, deviation = PolicyNetwork(policy, self._env.num_envs), np.float32(np.exp(policy.judge_log_sigma))
-        left, physics = self._play(network, deviation, thresholds, environment, clock)
+        left, physics, observation = self._play(network, deviation, thresholds, environment, clock)
         limits = self._limits(thresholds, len(environment))
-        with np.errstate(invalid="ignore"):
-            ratio = (left / limits).max(axis=2)
-        rows = np.flatnonzero(ratio.min(axis=0, initial=np.inf) < NEAR)
-        first = ratio.argmin(axis=0)[rows] - self._config.arrival.steps + 1
+        trials = Trials(environment, limits.astype(np.float32), observation, np.isfinite(left[:, :, 0]))
+        last = _last(self._seed, environment, clock, (left / limits).max(axis=2) < FAR)
+        rows = np.flatnonzero(last >= 0)
+        first = last[rows] - self._config.arrival.steps + 1
         noise = [
             deviation * self._noise(environment[rows], clock, np.maximum(first + k, 0))
             for k in range(self._config.arrival.steps)
@@ -63,11 +75,12 @@ class Scouts:
         begin = np.maximum(-first, 0)
         made = Windows(
             environment=environment[rows],
-            limits=limits[rows].astype(np.float32),
+            limits=trials.limits[rows],
+            begin=begin,
             **self._last_steps(network, physics[np.maximum(first, 0), rows], rows, begin, noise),
         )
         fine = np.isfinite(made.by_action).all(axis=(1, 2, 3)) & np.isfinite(made.by_state).all(axis=(1, 2, 3))
-        return made if fine.all() else made.take(np.flatnonzero(fine))
+        return made if fine.all() else made.take(np.flatnonzero(fine)), trials
 
     def _limits(self, thresholds, n):
         """(n, 3): the thresholds of the tasks in the first n rows, `arrival.lead` tightenings on."""
@@ -76,7 +89,8 @@ class Scouts:
         return np.maximum(limits * curriculum.factor**self._config.arrival.lead, curriculum.floor)
 
     def _play(self, network, deviation, thresholds, environment, clock):
-        """(deviations after each of H steps of the first n rows (H, n, 3), infinite from a fall on; physics before)."""
+        """(deviations after each of H steps of the first n rows (H, n, 3), infinite from a fall on; physics before;
+        observations before and after the last (H + 1, n, 282))."""
         env, n, steps = self._env, len(environment), self._config.task.time_limit
         rows, index = np.arange(n), np.zeros(self._env.num_envs, dtype=np.int64)
         index[:n] = environment
@@ -85,16 +99,18 @@ class Scouts:
         env.plan(self._seed, index, np.full(env.num_envs, _EPISODES + clock), rows, focus, thresholds.shares)
         env.begin(rows)
         left, physics = np.empty((steps, n, 3)), np.empty((steps, n, env.physics.shape[1]))
+        observation = new_observations(steps + 1, n)
         action = np.zeros((env.num_envs, NUM_DOF), dtype=np.float32)
         standing = np.ones(n, dtype=bool)
         for t in range(steps):
-            mean = network.mean(env.observe(new_observations(n), rows))
+            mean = network.mean(env.observe(observation[t], rows))
             action[:n] = mean + deviation * self._noise(environment, clock, np.full(n, t))
             physics[t] = env.physics[:n]
             env.step(action, NEVER, rows)
             standing &= env.end[:n] != FELL
             left[t] = np.where(standing[:, None], env.deviations[:n][:, [RP, KP, Q]], np.inf)
-        return left, physics
+        env.observe(observation[steps], rows)
+        return left, physics, observation
 
     def _noise(self, environment, clock, step):
         """(n, 31) float32, standard normal, of environments (n,) at steps (n,) of their episodes."""

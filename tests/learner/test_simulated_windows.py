@@ -49,30 +49,38 @@ def lesson(library, make_config, easy, everybody_is_near):
 
 
 def played(lesson, library, policy, changes=None):
-    """(d^rp, d^kp, d^q (M, 3) in thresholds, residuals (M, 60)) where each window ends if `policy` acts in it, with
-    changes (M, K, 31) of its outputs."""
+    """(d^rp, d^kp, d^q (M, 3) in thresholds at the end, observations (M, K + 1, 282) before each step and after the
+    last) of the windows if `policy` acts in them, with changes (M, K, 31) of its outputs."""
     config, chunk, (physics, begin, *target) = lesson
     found = chunk.windows
-    env = Environment(config, library, len(found))
-    env.place(physics, np.arange(len(found)))
+    env, everybody = Environment(config, library, len(found)), np.arange(len(found))
+    env.place(physics, everybody)
     env.target_qpos[:], env.target_qvel[:] = target
     forward_kinematics_batch(env.target_qpos, env.target_bodies, np.empty_like(env.rotations))
+    seen = [env.observe(new_observations(len(found)))]
     for k in range(STEPS):
-        seen = torch.as_tensor(env.observe(new_observations(len(found))))
         with torch.no_grad():
             # the normalizer has seen nothing yet
-            action = policy(seen.clamp(-10.0, 10.0)).numpy()
+            action = policy(torch.as_tensor(seen[-1]).clamp(-10.0, 10.0)).numpy()
         changed = action if changes is None else action + changes[:, k]
         env.step(changed, Thresholds(0.0, 0.0, 0.0), np.flatnonzero(begin <= k))
-    end = torch.as_tensor(env.observe(new_observations(len(found))).astype(np.float64))
-    left = residuals(*split(end, True), torch.as_tensor(found.limits, dtype=torch.float64)).numpy()
-    return env.deviations[:, [RP, KP, Q]] / found.limits, left
+        seen.append(env.observe(new_observations(len(found))))
+    return env.deviations[:, [RP, KP, Q]] / found.limits, np.stack(seen, axis=1)
+
+
+def left_of(chunk, seen):
+    """(M, K + 1, 60): residuals of windows in which seen (M, K + 1, 282) is seen."""
+    every = seen.shape[1]
+    limits = torch.as_tensor(chunk.windows.limits).double().repeat_interleave(every, dim=0)
+    seen = torch.as_tensor(np.ascontiguousarray(seen)).double().reshape(-1, 282)
+    return residuals(*split(seen, True), limits).numpy().reshape(-1, every, 60)
 
 
 def test_residuals_are_the_deviations_parts(lesson, library):
     config, chunk, _ = lesson
     state = LearnerState(config, 1)
-    limits, left = played(lesson, library, state.policy)
+    limits, seen = played(lesson, library, state.policy)
+    left = left_of(chunk, seen)[:, -1]
     np.testing.assert_allclose(np.linalg.norm(left[:, :3], axis=1), limits[:, 0], rtol=1e-5)
     keys = np.linalg.norm(left[:, 3:21].reshape(-1, 6, 3), axis=2).sum(axis=1) / 6**0.5
     np.testing.assert_allclose(keys, limits[:, 1], rtol=1e-4)
@@ -84,9 +92,9 @@ def everyone(chunk):
 
 
 @torch.no_grad()
-def ends(found, changes):
-    """(M, 60): where the windows end with changes (M, K, 31) of the outputs, as the derivatives say."""
-    return found.ends(torch.arange(len(found)), torch.as_tensor(changes, dtype=torch.float32)[:, None])[:, 0].numpy()
+def followed(found, changes):
+    """(M, K + 1, 282): what is seen in the windows with changes (M, K, 31) of the outputs, as the derivatives say."""
+    return found.follow(torch.arange(len(found)), torch.as_tensor(changes, dtype=torch.float32)[:, None])[:, 0].numpy()
 
 
 def test_what_the_actions_do_is_what_they_do_when_played(lesson, library):
@@ -95,63 +103,95 @@ def test_what_the_actions_do_is_what_they_do_when_played(lesson, library):
     state, generator = LearnerState(config, 1), np.random.default_rng(0)
     found = SimulatedWindows(state, chunk)
     _, rest = played(lesson, library, state.policy)
-    np.testing.assert_allclose(ends(found, np.zeros((len(rest), STEPS, 31))), rest, atol=5e-3)
+    np.testing.assert_allclose(followed(found, np.zeros((len(rest), STEPS, 31))), rest, atol=5e-3)
     for _ in range(3):
         changes = generator.normal(0.0, 1e-3, (len(rest), STEPS, 31)).astype(np.float32)
-        said = (ends(found, changes) - ends(found, -changes)) / 2
-        true = [played(lesson, library, state.policy, sign * changes)[1] for sign in (1, -1)]
-        true = (true[0] - true[1]) / 2
+        said, true = (
+            (left_of(chunk, play(changes)) - left_of(chunk, play(-changes)))[:, 1:] / 2
+            for play in (lambda c: followed(found, c), lambda c: played(lesson, library, state.policy, c)[1])
+        )
         # one window or another has a foot that just takes hold or lets go
         assert np.corrcoef(said.ravel(), true.ravel())[0, 1] > 0.97
         assert np.median(np.abs(said - true)) < 0.08 * np.abs(true).mean()
 
 
-def test_ends_are_those_of_slow_obvious_code(lesson):
+def test_what_is_seen_is_that_of_slow_obvious_code(lesson):
     """One window, one draw and one step at a time, by the arrays of `workers.types.Windows`."""
     config, chunk, _ = lesson
     state, generator, found = LearnerState(config, 1), np.random.default_rng(0), chunk.windows
     chosen, changes = [4, 0, 4], generator.normal(0.0, 0.01, (3, 2, STEPS, 31)).astype(np.float32)
+    ready = SimulatedWindows(state, chunk)
     with torch.no_grad():
-        quick = SimulatedWindows(state, chunk).ends(torch.as_tensor(chosen), torch.as_tensor(changes)).numpy()
+        quick = ready.follow(torch.as_tensor(chosen), torch.as_tensor(changes)).numpy()
     for row, window in enumerate(chosen):
-        limits = torch.as_tensor(found.limits[window : window + 1])
-
-        def left(observation, limits=limits):
-            return residuals(*split(observation[None], True), limits)[0]
-
-        last = torch.as_tensor(found.observation[window, -1])
-        by_end = torch.autograd.functional.jacobian(left, last).numpy() @ found.seen[window, -1]
         for draw in range(2):
-            x = np.zeros(74)
+            x, seen = np.zeros(74), found.observation[window, 0]
             for k in range(STEPS):
-                seen = found.observation[window, k] + (found.seen[window, k - 1] @ x if k else 0.0)
+                np.testing.assert_allclose(quick[row, draw, k], seen, rtol=1e-3, atol=1e-3)
                 with torch.no_grad():
                     output = state.policy(state.observations(torch.as_tensor(seen[None], dtype=torch.float32)))[0]
                 action = output.numpy() - found.mean[window, k] + changes[row, draw, k]
                 x = (found.by_state[window, k - 1] @ x if k else 0.0) + found.by_action[window, k] @ action
-            expected = left(last).numpy() + by_end @ x
-            np.testing.assert_allclose(quick[row, draw], expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
+                seen = found.observation[window, k + 1] + found.seen[window, k] @ x
+            np.testing.assert_allclose(quick[row, draw, STEPS], seen, rtol=1e-3, atol=1e-3)
 
 
-def test_its_loss_is_the_mean_of_what_is_left_under_noise(lesson):
-    """Against its definition, of the noise that it says: the evaluation's deviation times a half, none in the last."""
-    config, chunk, _ = lesson
-    state, chosen = LearnerState(config, 1), np.array([3, 0, 3])
-    found = SimulatedWindows(state, chunk)
+def costs(state, windows, m, seen):
+    """Of window m in which seen (K + 1, 282) is seen: each step's, discounted, and what is to come, by definition."""
+    total, discount = 0.0, 0.93
+    for k in range(windows.begin[m], STEPS):
+        left = residuals(*split(seen[k + 1 : k + 2], True), torch.as_tensor(windows.limits[[m]]))
+        each = 4 * torch.log((4 + torch.sqrt(1 + (left**2).sum())) / 5)
+        total = total + discount ** (k - windows.begin[m]) * each
+    return total + discount ** (STEPS - windows.begin[m]) * state.cost_to_go(state.observations(seen[-1:]))[0]
+
+
+def drawn_noise(config, count):
+    """The evaluation's deviation times a half, none in the last step."""
     sigma = np.exp(config.policy.judge_log_sigma) / config.action.scale
-    draws = config.arrival.draws
-    noise = np.random.default_rng(7).standard_normal((3, draws, STEPS, 31), dtype=np.float32) * 0.5 * sigma
+    shape = count, config.arrival.draws, STEPS, 31
+    noise = np.random.default_rng(7).standard_normal(shape, dtype=np.float32) * 0.5 * sigma
     noise[:, :, -1] = 0.0
+    return torch.as_tensor(noise, dtype=torch.float32)
+
+
+def test_its_loss_is_what_is_left_under_noise_after_every_step_and_later(lesson):
+    config, chunk, _ = lesson
+    state, chosen = LearnerState(config, 1), np.array([3, 0, int(chunk.windows.begin.argmax())])
+    assert chunk.windows.begin.max() > 0
+    found, noise = SimulatedWindows(state, chunk), drawn_noise(config, 3)
+    loss = found.loss(chosen, np.random.default_rng(7)).item()
     with torch.no_grad():
-        left = found.ends(torch.as_tensor(chosen), torch.as_tensor(noise, dtype=torch.float32)).numpy()
-        loss = found.loss(chosen, np.random.default_rng(7)).item()
-    assert loss == pytest.approx(np.sqrt(1 + (left**2).sum(axis=2)).mean(), rel=1e-5)
+        seen = found.follow(torch.as_tensor(chosen), noise)
+        expected = np.mean([[costs(state, chunk.windows, m, one) for one in rows] for m, rows in zip(chosen, seen)])
+    assert loss == pytest.approx(expected, rel=1e-5)
     quiet = copy.deepcopy(config)
     quiet.arrival.noise = 0.0
-    rest = ends(found, np.zeros((len(found), STEPS, 31)))[chosen]
+    state = LearnerState(quiet, 1)
+    found = SimulatedWindows(state, chunk)
+    rest = torch.as_tensor(followed(found, np.zeros((len(found), STEPS, 31))))
     with torch.no_grad():
-        loss = SimulatedWindows(LearnerState(quiet, 1), chunk).loss(chosen, np.random.default_rng(7)).item()
-    assert loss == pytest.approx(np.sqrt(1 + (rest**2).sum(axis=1)).mean(), rel=1e-5)
+        expected = np.mean([costs(state, chunk.windows, m, rest[m]) for m in chosen])
+    assert found.loss(chosen, np.random.default_rng(7)).item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_no_window_pulls_harder_than_the_median_one(lesson):
+    """The gradient, from each window's own, of its costs by the parameters and by the outputs of its steps."""
+    config, chunk, _ = lesson
+    chosen, state, noise = [3, 0, 5, 9, 4], LearnerState(config, 1), drawn_noise(config, 5)
+    found, parameters, own = SimulatedWindows(state, chunk), list(state.policy.parameters()), []
+    for row, m in enumerate(chosen):
+        changes = noise[[row]].requires_grad_()
+        seen = found.follow(torch.as_tensor([m]), changes)[0]
+        mean = sum(costs(state, chunk.windows, m, one) for one in seen) / len(seen)
+        *gradient, pull = torch.autograd.grad(mean, [*parameters, changes])
+        own.append((gradient, pull.norm()))
+    norms = torch.stack([norm for _, norm in own])
+    assert norms.max() > 1.1 * norms.median()
+    quick = torch.autograd.grad(found.loss(np.array(chosen), np.random.default_rng(7)), parameters)
+    for k, found_gradient in enumerate(quick):
+        expected = sum(gradient[k] * min(1, norms.median() / norm) for gradient, norm in own) / len(own)
+        torch.testing.assert_close(found_gradient, expected, rtol=1e-3, atol=1e-4 * float(expected.abs().max()))
 
 
 def test_a_policy_that_has_moved_since_is_followed_to_where_it_would_come(lesson, library):
@@ -161,9 +201,10 @@ def test_a_policy_that_has_moved_since_is_followed_to_where_it_would_come(lesson
         for parameter in state.policy.parameters():
             parameter += 2e-3 * parameter.abs().mean() * torch.randn(parameter.shape, generator=generator)
     still = np.zeros((len(chunk.windows), STEPS, 31))
-    followed, stale = (ends(SimulatedWindows(learner, chunk), still) for learner in (state, LearnerState(config, 1)))
+    moved, stale = (followed(SimulatedWindows(learner, chunk), still) for learner in (state, LearnerState(config, 1)))
     _, true = played(lesson, library, state.policy)
-    assert np.linalg.norm(followed - true) < 0.5 * np.linalg.norm(stale - true)
+    moved, stale, true = (left_of(chunk, seen) for seen in (moved, stale, true))
+    assert np.linalg.norm(moved - true) < 0.5 * np.linalg.norm(stale - true)
 
 
 @pytest.mark.parametrize("optimizer", ("adam", "kfac"))
@@ -185,16 +226,22 @@ def test_steps_down_its_gradient_bring_the_figure_nearer_under_noise(lesson, lib
     sigma = np.exp(config.policy.judge_log_sigma) / config.action.scale
     noise = generator.normal(0.0, sigma, (4, len(chunk.windows), STEPS, 31)).astype(np.float32)
 
-    def left():
-        return np.mean([np.linalg.norm(played(lesson, library, state.policy, n)[1], axis=1).mean() for n in noise])
+    found = SimulatedWindows(state, chunk)
+    with torch.no_grad():
+        for parameter in state.cost_to_go.network.parameters():
+            parameter.zero_()  # so that all that is descended can be played
 
-    before, learner = left(), SimulatedWindows(state, chunk)
-    optimizer = torch.optim.SGD(state.policy.parameters(), lr=3e-3)
+    @torch.no_grad()
+    def cost():
+        plays = [torch.as_tensor(played(lesson, library, state.policy, changes)[1]) for changes in noise]
+        return np.mean([[costs(state, chunk.windows, m, seen) for m, seen in enumerate(play)] for play in plays])
+
+    before, optimizer = cost(), torch.optim.SGD(state.policy.parameters(), lr=4e-2)
     for _ in range(10):
         optimizer.zero_grad()
-        learner.loss(everyone(chunk), generator).backward()
+        found.loss(everyone(chunk), generator).backward()
         optimizer.step()
-    assert left() < 0.98 * before
+    assert cost() < 0.98 * before
 
 
 def test_a_chunk_without_windows_changes_nothing(lesson, assert_same_bits):
@@ -203,5 +250,5 @@ def test_a_chunk_without_windows_changes_nothing(lesson, assert_same_bits):
     object.__setattr__(none, "windows", chunk.windows.take(np.zeros(0, dtype=np.int64)))
     state = LearnerState(config, 1)
     added, metrics = Arrival(state, none).gradient()
-    assert added is None and metrics == {"loss/arrival": 0.0, "gradient/arrival": 0.0, "arrival/left": 0.0}
+    assert added is None and metrics["loss/arrival"] == metrics["gradient/arrival"] == metrics["arrival/left"] == 0.0
     assert np.isfinite(update(state, [none])[1]["loss/policy"])

@@ -17,7 +17,7 @@ from workers.inference import PolicyNetwork
 from workers.kinematics import forward_kinematics_batch
 from workers.planner import draw_task, number_of_cells
 from workers.rollout import Rollout
-from workers.types import Thresholds, concatenate_windows
+from workers.types import Thresholds, concatenate_trials, concatenate_windows
 from workers.windows import Scouts, drawn
 
 pytestmark = pytest.mark.usefixtures("everybody_is_near")
@@ -75,38 +75,65 @@ def scouts(library, config):
     return made
 
 
-def test_they_end_at_the_nearest_step_of_episodes_that_go_past_their_arrival(scouts, config, policy):
+def test_they_end_at_any_step_of_episodes_that_go_past_their_arrival_but_of_those_far_off(
+    scouts, config, policy, monkeypatch
+):
     """Looked for again in all that was played, by the scalar deviations; thresholds five tightenings on, or floors."""
-    found = scouts.windows(policy, Thresholds(0.35, 3.0, 0.2), INDEX, clock=16)
+    monkeypatch.setattr(windows, "FAR", 2.9)
+    found, trials = scouts.play(policy, Thresholds(0.35, 3.0, 0.2), INDEX, clock=16)
     who, kept, env, expected = np.flatnonzero(drawn(SEED, INDEX, 16, 0.6)), scouts.kept, scouts._env, []
     own = np.maximum(np.array([0.35, 3.0, 0.2]) * 0.9**5, [0.01, 0.09, 0.15])
     assert own[2] == 0.15
     # once more, for who fell when
-    left, physics = scouts._play(
+    left, physics, _ = scouts._play(
         PolicyNetwork(policy, N), np.float32(np.exp(-4.0)), Thresholds(0.35, 3.0, 0.2), who, 16
     )
     for row, environment in enumerate(who):
-        far = []
+        near = []
         for t in range(10):
             deviations = reference.deviations(
                 *(pose[row] for pose in kept.poses[t]), env.target_qpos[row], env.target_qvel[row]
             )
-            fallen = np.isinf(left[t, row]).all()
-            far.append(np.inf if fallen else max(np.array([deviations.rp, deviations.kp, deviations.q]) / own))
-        first = int(np.argmin(far)) - STEPS + 1
-        if np.isfinite(min(far)):
-            expected.append((environment, first, row))
-    assert min(first for _, first, _ in expected) < 0 < max(first for _, first, _ in expected)
-    assert len(expected) > 5 and found.environment.tolist() == [environment for environment, _, _ in expected]
-    assert kept.rows.tolist() == [row for _, _, row in expected]
-    np.testing.assert_array_equal(kept.states, physics[[max(first, 0) for _, first, _ in expected], kept.rows])
-    np.testing.assert_array_equal(kept.begin, [max(-first, 0) for _, first, _ in expected])
+            far = max(np.array([deviations.rp, deviations.kp, deviations.q]) / own)
+            near.append(far < 2.9 and np.isfinite(left[t, row]).all())
+        steps = np.flatnonzero(near)
+        if len(steps):
+            last = steps[int(uniforms(SEED, DERIVATIVES, environment, 16, 2**20)[1] * len(steps))]
+            expected.append((environment, last - STEPS + 1, row))
+    environments, firsts, rows = map(list, zip(*expected))
+    assert min(firsts) < 0 < max(firsts) and 5 < len(expected) < len(who)
+    assert found.environment.tolist() == environments and kept.rows.tolist() == rows
+    np.testing.assert_array_equal(kept.states, physics[np.maximum(firsts, 0), rows])
+    np.testing.assert_array_equal(kept.begin, np.maximum(-np.array(firsts), 0))
+    np.testing.assert_array_equal(found.begin, kept.begin)
     np.testing.assert_allclose(found.limits, np.tile(own, (len(found), 1)), rtol=1e-6)
+    assert trials.environment.tolist() == who.tolist()
+    np.testing.assert_allclose(trials.limits, np.tile(own, (len(who), 1)), rtol=1e-6)
+    np.testing.assert_array_equal(trials.standing, np.isfinite(left[:, :, 0]))
+
+
+def test_trials_are_what_was_seen_before_each_step_and_after_the_last(scouts, policy, easy):
+    _, trials = scouts.play(policy, easy, INDEX, clock=16)
+    count = len(trials)
+    np.testing.assert_array_equal(trials.observation[:10], [seen[:count] for seen in scouts.kept.observations[:10]])
+    env = scouts._env
+    scouts._play(PolicyNetwork(policy, N), np.float32(np.exp(-4.0)), easy, trials.environment, 16)
+    np.testing.assert_array_equal(trials.observation[10], env.observe(new_observations(count), np.arange(count)))
+
+
+def test_all_near_steps_are_equally_likely_to_be_the_last(config):
+    near = np.zeros((7, 3000), dtype=bool)
+    near[[1, 2, 5, 6]] = True
+    near[:, ::3] = False
+    last = windows._last(SEED, np.arange(3000), 16, near)
+    assert (last[::3] == -1).all()
+    found = np.bincount(last[last >= 0], minlength=7) / 2000
+    np.testing.assert_allclose(found, [0, 0.25, 0.25, 0, 0, 0.25, 0.25], atol=0.04)
 
 
 def test_their_last_steps_are_played_again_without_noise_and_differentiated(scouts, library, config, policy, easy):
     """One window after the other, from the state that it begins in."""
-    found = scouts.windows(policy, easy, INDEX, clock=16)
+    found, _ = scouts.play(policy, easy, INDEX, clock=16)
     env, derivatives, network = Environment(config, library, 1), Derivatives(config, 1), PolicyNetwork(policy, 1)
     for m in range(0, len(found), 3):
         row = scouts.kept.rows[m]
@@ -135,7 +162,7 @@ def test_their_last_steps_are_played_again_without_noise_and_differentiated(scou
 def test_but_for_the_last_steps_the_noise_is_that_of_before(scouts, policy, easy, monkeypatch):
     """With noise in all steps a window is what was played; without it in the last, up to there."""
     monkeypatch.setattr(windows, "QUIET", 1)
-    found, kept = scouts.windows(policy, easy, INDEX, clock=16), scouts.kept
+    (found, _), kept = scouts.play(policy, easy, INDEX, clock=16), scouts.kept
     count = len(kept.observations) - STEPS
     played = np.array(kept.observations[:count])
     for m, row in enumerate(kept.rows):
@@ -171,13 +198,15 @@ def test_they_act_as_in_the_evaluation_on_tasks_of_training(scouts, library, con
 def test_nothing_else_in_a_chunk_knows_of_them(library, make_config, policy, easy, chunks, assert_same_bits):
     bare = collect(make_config({**ON, "arrival.weight": 0.0}), library, policy, easy)
     assert bare[0].windows is None and sum(len(chunk.windows) for chunk in chunks) > 10
-    assert_same_bits(bare, [dataclasses.replace(chunk, windows=None) for chunk in chunks])
+    assert_same_bits(bare, [dataclasses.replace(chunk, windows=None, trials=None) for chunk in chunks])
 
 
 def test_they_remember_nothing_and_every_chunk_has_its_own(library, config, policy, easy, chunks, assert_same_bits):
     scouts = Scouts(config, library, N, SEED, 2)
     for k in (2, 0, 1):
-        assert_same_bits(scouts.windows(policy, easy, INDEX, k * HORIZON), chunks[k].windows)
+        found, trials = scouts.play(policy, easy, INDEX, k * HORIZON)
+        assert_same_bits(found, chunks[k].windows)
+        assert_same_bits(trials, chunks[k].trials)
     assert chunks[0].windows.environment.tolist() != chunks[1].windows.environment.tolist()
 
 
@@ -185,11 +214,12 @@ def test_two_workers_give_the_same_windows_as_one(library, config, policy, easy,
     shares = [collect(config, library, policy, easy, first, count) for first, count in ((0, 9), (9, N - 9))]
     for whole, *some in zip(chunks, *shares, strict=True):
         assert_same_bits(concatenate_windows([part.windows for part in some[::-1]]), whole.windows)
+        assert_same_bits(concatenate_trials([part.trials for part in some[::-1]]), whole.trials)
 
 
 def test_who_comes_nowhere_near_is_left_out(library, config, policy, easy, monkeypatch):
-    monkeypatch.setattr(windows, "NEAR", 1e-9)
-    none = Scouts(config, library, N, SEED, 1).windows(policy, easy, INDEX, 0)
+    monkeypatch.setattr(windows, "FAR", 1e-9)
+    none = Scouts(config, library, N, SEED, 1).play(policy, easy, INDEX, 0)[0]
     assert len(none) == 0 and none.by_action.shape == (0, STEPS, 74, 31) and none.seen.shape == (0, STEPS, 282, 74)
 
 

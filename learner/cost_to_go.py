@@ -1,0 +1,99 @@
+"""What is left to the target, as a cost of every step to come: a network that foresees it.
+
+A window of a few steps does not show what becomes of the figure later: whoever runs through the target is as near it as
+who stops there, and one of them falls. The cost-to-go at the end of a window says so, in all the numbers of the state
+that it is differentiated by (a critic at the end of short horizons, as in Xu et al., "Accelerated policy learning with
+parallel differentiable simulation", 2022).
+"""
+
+import math
+
+import numpy as np
+import torch
+from torch import nn
+
+from learner.encoding import residuals, split
+from learner.networks import build_mlp
+from workers.observation import OBSERVATION_SIZE
+
+NEAR = 4.0  # thresholds: up to here a step costs about what is left, farther off less and less more
+FALLEN = 100.0  # thresholds; what is left to who has fallen, for ever
+_TRACE = 0.95  # lambda of TD(lambda)
+_RATE = 1e-3
+_PASSES, _BATCH = 3, 512
+_UNIT = 10.0  # of the network's output
+
+
+def cost(square):
+    """Of a step after which the residuals' squares (`learner.encoding.residuals`) sum to `square`, of any shape."""
+    return NEAR * torch.log((NEAR + torch.sqrt(1.0 + square)) / (NEAR + 1.0))
+
+
+_COST_OF_FALLEN = NEAR * math.log((NEAR + math.sqrt(1.0 + FALLEN**2)) / (NEAR + 1.0))
+
+
+class CostToGo:
+    """The network and its optimizer: of a state, the discounted sum of the costs of all later steps."""
+
+    def __init__(self, hidden, discount, generator, device):
+        """hidden: units of the hidden layers. discount: per step. generator: of torch, for the first weights."""
+        # smooth: its derivatives are what counts
+        network = build_mlp([OBSERVATION_SIZE, *hidden, 1], generator, 1.0, hidden_gain=1.0, activation=nn.SiLU)
+        self.network, self.discount, self._device = network.to(device), discount, device
+        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=_RATE, fused=True)
+
+    def state_dict(self):
+        """Plain tensors and numbers for a checkpoint."""
+        return {"network": self.network.state_dict(), "optimizer": self._optimizer.state_dict()}
+
+    def load_state_dict(self, state):
+        """The inverse of `state_dict`."""
+        self.network.load_state_dict(state["network"])
+        self._optimizer.load_state_dict(state["optimizer"])
+
+    def __call__(self, inputs):
+        """(n,), of normalized observations (n, 282)."""
+        return _UNIT * self.network(inputs).squeeze(-1)
+
+    def learn(self, trials, normalized, difference, random):
+        """Learn from `workers.types.Trials`; which share of the variance of what they cost was foreseen before that.
+
+        normalized: turns observations (n, 282) into inputs; difference: see `encoding.split`; random: numpy generator.
+        """
+        steps, count = trials.standing.shape
+        if not count:
+            return 0.0
+        observation = torch.as_tensor(trials.observation, device=self._device).flatten(0, 1)
+        limits = torch.as_tensor(trials.limits, device=self._device).repeat(steps + 1, 1)
+        with torch.no_grad():
+            inputs = normalized(observation)
+            costs = cost((residuals(*split(observation, difference), limits) ** 2).sum(dim=1))
+            foreseen = self(inputs)
+        foreseen, costs = (array.cpu().numpy().reshape(steps + 1, count) for array in (foreseen, costs))
+        wanted = self.targets(costs, foreseen, trials.standing)
+        alive = np.concatenate([np.ones((1, count), dtype=bool), trials.standing[:-1]])
+        missed = (wanted - foreseen[:-1])[alive]
+        explained = 1.0 - float((missed**2).mean() / max(wanted[alive].var(), 1e-12))
+        rows, wanted = np.flatnonzero(alive), torch.as_tensor(wanted.ravel(), device=self._device)
+        for _ in range(_PASSES):
+            for some in np.array_split(random.permutation(rows), -(-len(rows) // _BATCH)):
+                some = torch.as_tensor(some, device=self._device)
+                loss = (((self(inputs[some]) - wanted[some]) / _UNIT) ** 2).mean()
+                self._optimizer.zero_grad(set_to_none=True)
+                loss.backward()
+                self._optimizer.step()
+        return explained
+
+    def targets(self, costs, foreseen, standing):
+        """TD(lambda) targets (H, M) of states x_0 to x_{H-1} of M episodes of H steps.
+
+        costs, foreseen: (H + 1, M), of x_0 to x_H: of being there, and the network's. standing: (H, M), see `Trials`.
+        """
+        forever = _COST_OF_FALLEN / (1.0 - self.discount)
+        wanted = np.empty((len(standing), costs.shape[1]), dtype=np.float32)
+        later = foreseen[-1]
+        for t in reversed(range(len(standing))):
+            mixed = _TRACE * later + (1.0 - _TRACE) * foreseen[t + 1]
+            wanted[t] = np.where(standing[t], costs[t + 1] + self.discount * mixed, forever)
+            later = wanted[t]
+        return wanted
