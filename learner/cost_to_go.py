@@ -6,8 +6,6 @@ that it is differentiated by (a critic at the end of short horizons, as in Xu et
 parallel differentiable simulation", 2022).
 """
 
-import math
-
 import numpy as np
 import torch
 from torch import nn
@@ -17,7 +15,7 @@ from learner.networks import build_mlp
 from workers.observation import OBSERVATION_SIZE
 
 NEAR = 4.0  # thresholds: up to here a step costs about what is left, farther off less and less more
-FALLEN = 100.0  # thresholds; what is left to who has fallen, for ever
+FALLEN = 3.0  # m: what is left to who has fallen, for ever, is as if the root's place were so far off
 _TRACE = 0.95  # lambda of TD(lambda)
 _RATE = 1e-3
 _PASSES, _BATCH = 3, 512
@@ -27,9 +25,6 @@ _UNIT = 10.0  # of the network's output
 def cost(square):
     """Of a step after which the residuals' squares (`learner.encoding.residuals`) sum to `square`, of any shape."""
     return NEAR * torch.log((NEAR + torch.sqrt(1.0 + square)) / (NEAR + 1.0))
-
-
-_COST_OF_FALLEN = NEAR * math.log((NEAR + math.sqrt(1.0 + FALLEN**2)) / (NEAR + 1.0))
 
 
 class CostToGo:
@@ -69,8 +64,9 @@ class CostToGo:
             inputs = normalized(observation)
             costs = cost((residuals(*split(observation, difference), limits) ** 2).sum(dim=1))
             foreseen = self(inputs)
+            fallen = cost((FALLEN / limits[:count, 0]) ** 2)
         foreseen, costs = (array.cpu().numpy().reshape(steps + 1, count) for array in (foreseen, costs))
-        wanted = self.targets(costs, foreseen, trials.standing)
+        wanted = self.targets(costs, foreseen, trials.standing, fallen.cpu().numpy())
         alive = np.concatenate([np.ones((1, count), dtype=bool), trials.standing[:-1]])
         missed = (wanted - foreseen[:-1])[alive]
         explained = 1.0 - float((missed**2).mean() / max(wanted[alive].var(), 1e-12))
@@ -84,12 +80,13 @@ class CostToGo:
                 self._optimizer.step()
         return explained
 
-    def targets(self, costs, foreseen, standing):
+    def targets(self, costs, foreseen, standing, fallen):
         """TD(lambda) targets (H, M) of states x_0 to x_{H-1} of M episodes of H steps.
 
         costs, foreseen: (H + 1, M), of x_0 to x_H: of being there, and the network's. standing: (H, M), see `Trials`.
+        fallen: (M,), cost of a step of who has fallen.
         """
-        forever = _COST_OF_FALLEN / (1.0 - self.discount)
+        forever = fallen / (1.0 - self.discount)
         wanted = np.empty((len(standing), costs.shape[1]), dtype=np.float32)
         later = foreseen[-1]
         for t in reversed(range(len(standing))):

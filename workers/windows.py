@@ -20,7 +20,7 @@ from workers.types import FELL, Thresholds, Trials, Windows
 
 # last steps of a window without noise, which the policy could hardly correct any more: it would hide the rest
 QUIET = 3
-FAR = 60.0  # thresholds; who is farther off after a step is left to PPO
+FAR = 2.0  # m; whose root's place is farther off after a step is left to PPO
 NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
 _EPISODES = 2**40  # from here on their tasks are numbered, by the clock: those of training never get there
 _DRAW = 2**20  # the block of the numbers that say who plays and where windows end; noise has the first few
@@ -63,7 +63,7 @@ class Scouts:
         left, physics, observation = self._play(network, deviation, thresholds, environment, clock)
         limits = self._limits(thresholds, len(environment))
         trials = Trials(environment, limits.astype(np.float32), observation, np.isfinite(left[:, :, 0]))
-        last = _last(self._seed, environment, clock, (left / limits).max(axis=2) < FAR)
+        last = _last(self._seed, environment, clock, left[:, :, 0] < FAR)
         rows = np.flatnonzero(last >= 0)
         first = last[rows] - self._config.arrival.steps + 1
         noise = [

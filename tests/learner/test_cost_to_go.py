@@ -15,7 +15,7 @@ from learner.normalizer import Normalizer
 from workers.types import Trials
 
 DISCOUNT = 0.9
-FALLEN = 4 * math.log((4 + math.sqrt(1 + 100.0**2)) / 5)
+FALLEN = 4 * math.log((4 + math.sqrt(1 + 30.0**2)) / 5)  # 3 m off, at a threshold of 0.1 m
 
 
 def made(seed=0):
@@ -30,7 +30,7 @@ def test_targets_are_means_of_n_step_returns(seed):
     steps, count = 6, 4
     costs, foreseen = random.random((2, steps + 1, count))
     standing = np.logical_and.accumulate(random.random((steps, count)) < 0.85, axis=0)
-    found = made().targets(costs, foreseen, standing)
+    found = made().targets(costs, foreseen, standing, np.full(count, FALLEN))
     for m in range(count):
         for t in range(steps):
             if not standing[t, m]:
@@ -53,7 +53,7 @@ def test_targets_are_means_of_n_step_returns(seed):
 
 
 def test_a_step_costs_about_what_is_left_when_near_and_ever_less_more_farther_off():
-    left = torch.tensor([0.0, 1.0, 2.0, 10.0, 100.0])
+    left = torch.tensor([0.0, 1.0, 2.0, 10.0, 30.0])
     found = cost(left**2)
     assert found[0] == 0.0 and (found.diff() > 0).all()
     assert found[-1] == pytest.approx(FALLEN, rel=1e-6)
