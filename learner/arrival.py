@@ -22,7 +22,12 @@ class Arrival:
         if not config.weight:
             return
         self._random = state.random(ARRIVALS)
-        self._windows = (LearnedWindows if config.physics == "learned" else SimulatedWindows)(state, chunk)
+        if config.physics == "learned":
+            self._windows = LearnedWindows(state, chunk)
+        elif chunk.windows is not None:
+            self._windows = SimulatedWindows(state, chunk)
+        else:
+            return
         self._metrics = {"loss/arrival": 0.0, "gradient/arrival": 0.0, **self._windows.metrics}
 
     def inputs(self):

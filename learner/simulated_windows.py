@@ -16,9 +16,12 @@ from learner.cost_to_go import cost
 from learner.encoding import deviations, residuals, split
 from learner.state import FORESIGHT
 
+LEAST_FORESEEN = 0.5  # share of the variance of what trials cost; with less a cost-to-go says nothing yet
+
 
 class SimulatedWindows:
     """The `workers.types.Windows` of a chunk for a `LearnerState`, whose cost-to-go learns from the chunk's `Trials`.
+    None of them as long as that foresees too little.
 
     metrics: `arrival/left`, mean over the windows of the largest deviation at their end, in thresholds;
     `arrival/foreseen`, share of the variance of what the trials cost that was foreseen.
@@ -40,13 +43,14 @@ class SimulatedWindows:
         explained = state.cost_to_go.learn(
             chunk.trials, state.observations, self._difference, state.random(FORESIGHT)
         )  # fmt: skip
+        self._useful = len(windows) if explained >= LEAST_FORESEEN else 0
         self.metrics = {"arrival/left": 0.0, "arrival/foreseen": explained}
         if len(windows):
             left = deviations(*split(self._observation[:, -1], self._difference)) / self._limits
             self.metrics["arrival/left"] = left.amax(dim=1).mean().item()
 
     def __len__(self):
-        return len(self._mean)
+        return self._useful
 
     def inputs(self):
         """The policy's inputs in the windows, (M * K, 282)."""

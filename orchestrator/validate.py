@@ -100,6 +100,7 @@ RULES = {
     "sbc.reduction": choice("sum", "mean"),
     "arrival.weight": at_least(0),
     "arrival.physics": choice("learned", "simulated"),
+    "arrival.after": at_least(0),
     "arrival.share": PROBABILITY,
     "arrival.lead": at_least(0),
     "arrival.noise": at_least(0),

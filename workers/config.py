@@ -130,6 +130,8 @@ class ArrivalConfig:
     physics: str = "learned"
     """Whose derivatives: `learned`, a network's that learns from the chunks; `simulated`, those of physics itself
     (`workers/derivatives.py`), which take as long as some 30 simulated steps for each step of a window."""
+    after: int = 0
+    """simulated: updates before the first episodes are played for it: PPO, whose chunks are far cheaper, goes ahead."""
     share: float = 0.3
     """simulated: share of the environments beside which an episode is played for it in every chunk."""
     lead: int = 5

@@ -78,7 +78,9 @@ class Rollout:
                 limits.append(thresholds.of(env.groups(thresholds, ids))[:, :3])
                 env.plan(self._seed, index, episode, ids, focus, thresholds.shares)
                 env.begin(ids)
-        windows, trials = self._scouts.play(policy, thresholds, index, state.clock) if self._scouts else (None, None)
+        windows = trials = None
+        if self._scouts and policy.version >= env.config.arrival.after:
+            windows, trials = self._scouts.play(policy, thresholds, index, state.clock)
         chunk = Chunk(
             environment=index.copy(),
             observation=observation,

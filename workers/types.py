@@ -267,7 +267,7 @@ class Chunk:
     outcomes: the episodes that ended.
     version: version of the policy that acted.
     log_sigma: (T, N) float64, log standard deviation of its actions; not that of judges.
-    windows, trials: with `arrival.physics=simulated`; else None.
+    windows, trials: with `arrival.physics=simulated`, after `arrival.after` updates; else None.
     """
 
     environment: np.ndarray

@@ -1,11 +1,13 @@
 """The descent at arrival by the derivatives of physics: what it says of physics is so when played."""
 
 import copy
+import dataclasses
 
 import numpy as np
 import pytest
 import torch
 
+from learner import simulated_windows
 from learner.arrival import Arrival
 from learner.encoding import residuals, split
 from learner.simulated_windows import SimulatedWindows
@@ -26,7 +28,15 @@ ON = {
 }  # fmt: skip
 
 
-pytestmark = pytest.mark.usefixtures("everybody_is_near")
+@pytest.fixture(scope="module")
+def any_foresight():
+    """Windows are descended however little is foreseen yet."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulated_windows, "LEAST_FORESEEN", -np.inf)
+        yield
+
+
+pytestmark = pytest.mark.usefixtures("everybody_is_near", "any_foresight")
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +104,8 @@ def everyone(chunk):
 @torch.no_grad()
 def followed(found, changes):
     """(M, K + 1, 282): what is seen in the windows with changes (M, K, 31) of the outputs, as the derivatives say."""
-    return found.follow(torch.arange(len(found)), torch.as_tensor(changes, dtype=torch.float32)[:, None])[:, 0].numpy()
+    changes = torch.as_tensor(changes, dtype=torch.float32)
+    return found.follow(torch.arange(len(changes)), changes[:, None])[:, 0].numpy()
 
 
 def test_what_the_actions_do_is_what_they_do_when_played(lesson, library):
@@ -169,7 +180,7 @@ def test_its_loss_is_what_is_left_under_noise_after_every_step_and_later(lesson)
     quiet.arrival.noise = 0.0
     state = LearnerState(quiet, 1)
     found = SimulatedWindows(state, chunk)
-    rest = torch.as_tensor(followed(found, np.zeros((len(found), STEPS, 31))))
+    rest = torch.as_tensor(followed(found, np.zeros((len(chunk.windows), STEPS, 31))))
     with torch.no_grad():
         expected = np.mean([costs(state, chunk.windows, m, rest[m]) for m in chosen])
     assert found.loss(chosen, np.random.default_rng(7)).item() == pytest.approx(expected, rel=1e-5)
@@ -244,6 +255,16 @@ def test_steps_down_its_gradient_bring_the_figure_nearer_under_noise(lesson, lib
     assert cost() < 0.98 * before
 
 
+def test_nothing_is_descended_until_much_is_foreseen_but_the_foresight_learns(lesson, monkeypatch):
+    monkeypatch.setattr(simulated_windows, "LEAST_FORESEEN", 0.99)
+    config, chunk, _ = lesson
+    state = LearnerState(config, 1)
+    after, metrics = update(state, [chunk])
+    assert metrics["gradient/arrival"] == 0.0 and metrics["arrival/foreseen"] < 0.99
+    before, learned = (one.cost_to_go.network[0].weight for one in (state, after))
+    assert not torch.equal(before, learned)
+
+
 def test_a_chunk_without_windows_changes_nothing(lesson, assert_same_bits):
     config, chunk, _ = lesson
     none = copy.copy(chunk)
@@ -252,3 +273,6 @@ def test_a_chunk_without_windows_changes_nothing(lesson, assert_same_bits):
     added, metrics = Arrival(state, none).gradient()
     assert added is None and metrics["loss/arrival"] == metrics["gradient/arrival"] == metrics["arrival/left"] == 0.0
     assert np.isfinite(update(state, [none])[1]["loss/policy"])
+    early = dataclasses.replace(chunk, windows=None, trials=None)  # before `arrival.after`
+    assert Arrival(state, early).gradient() == (None, {}) and Arrival(state, early).inputs() == []
+    assert "arrival/foreseen" not in update(state, [early])[1]

@@ -200,6 +200,13 @@ def test_nothing_else_in_a_chunk_knows_of_them(library, make_config, policy, eas
     assert_same_bits(bare, [dataclasses.replace(chunk, windows=None, trials=None) for chunk in chunks])
 
 
+def test_nobody_plays_until_so_many_updates_have_been(library, make_config, policy, easy, assert_same_bits, chunks):
+    later, asked = make_config({**ON, "arrival.after": 3}), dataclasses.replace(policy, version=3)
+    early, late = (collect(later, library, one, easy, chunks=1)[0] for one in (policy, asked))
+    assert policy.version < 3 and early.windows is None and early.trials is None
+    assert_same_bits(late.windows, chunks[0].windows)
+
+
 def test_they_remember_nothing_and_every_chunk_has_its_own(library, config, policy, easy, chunks, assert_same_bits):
     scouts = Scouts(config, library, N, SEED, 2)
     for k in (2, 0, 1):
