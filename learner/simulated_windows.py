@@ -16,6 +16,7 @@ from learner.cost_to_go import cost
 from learner.encoding import deviations, residuals, split
 from learner.state import FORESIGHT
 
+HARDEST = 3.0  # pull of a window, in units of the median one's
 LEAST_FORESEEN = 0.5  # share of the variance of what trials cost; with less a cost-to-go says nothing yet
 
 
@@ -58,8 +59,8 @@ class SimulatedWindows:
 
     def loss(self, chosen, random):
         """Mean over windows chosen (B,), each followed `arrival.draws` times, of the discounted costs of their steps
-        and of what is to come. Its gradient is that of a sum in which no window pulls harder than the median one: in a
-        few of them the figure loses its balance, and all is sensitive.
+        and of what is to come. Its gradient is that of a sum in which no window pulls much harder than the median one:
+        in a few of them the figure loses its balance, and all is sensitive.
 
         random: numpy generator of the noise.
         """
@@ -74,7 +75,7 @@ class SimulatedWindows:
         # by the outputs of each step, later reactions to them included
         (pull,) = torch.autograd.grad(costs.sum(), noise)
         norm = pull.flatten(1).norm(dim=1)
-        pull = pull * (norm.median() / norm.clamp(min=1e-12)).clamp(max=1.0)[:, None, None, None]
+        pull = pull * (HARDEST * norm.median() / norm.clamp(min=1e-12)).clamp(max=1.0)[:, None, None, None]
         output = self._state.policy(self._state.observations(observation[:, :, :-1].detach()))
         surrogate = (pull * output).sum() / count
         return costs.detach().mean() + surrogate - surrogate.detach()
