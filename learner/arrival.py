@@ -35,7 +35,7 @@ class Arrival:
         return [self._windows.inputs()] if isinstance(self._windows, SimulatedWindows) else []
 
     def gradient(self):
-        """(what to add to the policy's gradients, in its parameters' order, or None; metrics) of a few windows."""
+        """(gradient in the order of the policy's parameters, clipped as PPO's, or None; metrics) of a few windows."""
         if not len(self._windows):
             return None, self._metrics
         state, config = self._state, self._state.config.arrival
@@ -44,6 +44,6 @@ class Arrival:
         parameters = list(state.policy.parameters())
         found = torch.autograd.grad(loss, parameters)
         norm = torch.sqrt(sum((gradient**2).sum() for gradient in found))
-        factor = config.weight * (state.config.ppo.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
+        factor = (state.config.ppo.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
         metrics = {**self._metrics, "loss/arrival": loss.detach(), "gradient/arrival": norm}
         return [factor * gradient for gradient in found], metrics

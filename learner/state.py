@@ -61,14 +61,16 @@ class LearnerState:
     def descend(self, name, loss, added=None):
         """One step of the network `policy` or `value` down the gradient of a loss, clipped; its norm before that.
 
-        added: tensors to add to the clipped gradient, in the order of the network's parameters.
+        added: another gradient, in the order of the network's parameters, clipped as well; the step is down the mean of
+        both, in which it has `arrival.weight` times the weight: one that joins later makes no step longer.
         """
         network, optimizer = getattr(self, name), getattr(self, f"{name}_optimizer")
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(network.parameters(), self.config.ppo.max_grad_norm)
+        weight = self.config.arrival.weight
         for parameter, gradient in zip(network.parameters(), added or ()):
-            parameter.grad += gradient
+            parameter.grad.add_(gradient, alpha=weight).div_(1.0 + weight)
         optimizer.step()
         return norm
 

@@ -126,7 +126,7 @@ class ArrivalConfig:
     not in the paper)."""
 
     weight: float = 0.0
-    """Its gradient is clipped as PPO's is and added to it with this weight. 0, the paper: none."""
+    """Of its gradient, clipped as PPO's is, in the mean with that. 0, the paper: none."""
     physics: str = "learned"
     """Whose derivatives: `learned`, a network's that learns from the chunks; `simulated`, those of physics itself
     (`workers/derivatives.py`), which take as long as some 30 simulated steps for each step of a window."""

@@ -178,3 +178,19 @@ def test_a_chunk_in_which_nobody_came_near_still_teaches_physics_and_nothing_els
     on, metrics = update(LearnerState(make_config(ON), 1), lessons[:1])
     assert_same_bits(off.policy.state_dict(), on.policy.state_dict())
     assert metrics["loss/arrival"] == metrics["gradient/arrival"] == 0.0 and metrics["loss/dynamics"] > 0.0
+
+
+def test_a_step_goes_down_the_weighted_mean_of_both_clipped_gradients(make_config):
+    state = LearnerState(make_config({**ON, "arrival.weight": 4.0}), 1)
+    parameters = list(state.policy.parameters())
+    state.policy_optimizer = torch.optim.SGD(parameters, lr=1.0)
+    before = [parameter.detach().clone() for parameter in parameters]
+    inputs = torch.as_tensor(np.random.default_rng(0).normal(size=(8, 282)), dtype=torch.float32)
+    own = torch.autograd.grad(100.0 * (state.policy(inputs) ** 2).sum(), parameters)
+    length = torch.sqrt(sum((gradient**2).sum() for gradient in own))
+    assert length > state.config.ppo.max_grad_norm
+    other = [torch.ones_like(parameter) for parameter in parameters]
+    state.descend("policy", 100.0 * (state.policy(inputs) ** 2).sum(), other)
+    for old, new, gradient in zip(before, parameters, own):
+        clipped = gradient * state.config.ppo.max_grad_norm / length
+        torch.testing.assert_close(old - new.detach(), (clipped + 4.0) / 5.0, rtol=1e-4, atol=1e-5)
