@@ -45,8 +45,8 @@ def _read(config):
             f"with Segue ({', '.join(shipped_policies())})"
         )
     meaning, learner = _MEANING, source["parts"][0]
-    learned = config.arrival.weight and config.arrival.physics == "learned"
-    if learned and learner and learner.get("dynamics"):  # its learned physics goes on, too
+    part = {"learned": "dynamics", "simulated": "cost_to_go"}[config.arrival.physics]
+    if config.arrival.weight and learner and learner.get(part):  # that network goes on, too
         meaning += ("arrival.hidden",)
     other = disagreement(
         source["config"], saved.numbers_of(config),
