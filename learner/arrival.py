@@ -1,4 +1,4 @@
-"""Descent of what is left to the target at arrival, through the physics of the last steps (not in the paper).
+"""Descent of what is left to the target, through the physics of a few steps (not in the paper).
 
 PPO learns from one number per episode; the pose that it came to says in all its numbers how to correct. K steps of
 episodes that came near their target are looked at again. What changes of the policy would have changed is told by a

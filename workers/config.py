@@ -122,8 +122,8 @@ class PhysicsConfig:
 
 @dataclass
 class ArrivalConfig:
-    """Descent of what is left to the target at arrival, through the physics of the last steps (`learner/arrival.py`;
-    not in the paper)."""
+    """Descent of what is left to the target, through the physics of a few steps (`learner/arrival.py`; not in the
+    paper)."""
 
     weight: float = 0.0
     """Of its gradient, clipped as PPO's is, in the mean with that. 0, the paper: none."""
