@@ -11,8 +11,10 @@ import torch
 from torch import nn
 
 from learner.encoding import residuals, split
+from learner.gae import advantages
 from learner.networks import build_mlp
 from workers.observation import OBSERVATION_SIZE
+from workers.types import CONTINUES, FELL
 
 NEAR = 4.0  # thresholds: up to here a step costs about what is left, farther off less and less more
 FALLEN = 3.0  # m: what is left to who has fallen, for ever, is as if the root's place were so far off
@@ -86,11 +88,6 @@ class CostToGo:
         costs, foreseen: (H + 1, M), of x_0 to x_H: of being there, and the network's. standing: (H, M), see `Trials`.
         fallen: (M,), cost of a step of who has fallen.
         """
-        forever = fallen / (1.0 - self.discount)
-        wanted = np.empty((len(standing), costs.shape[1]), dtype=np.float32)
-        later = foreseen[-1]
-        for t in reversed(range(len(standing))):
-            mixed = _TRACE * later + (1.0 - _TRACE) * foreseen[t + 1]
-            wanted[t] = np.where(standing[t], costs[t + 1] + self.discount * mixed, forever)
-            later = wanted[t]
-        return wanted
+        after = np.where(standing, costs[1:], fallen / (1.0 - self.discount))
+        end = np.where(standing, CONTINUES, FELL)
+        return advantages(after, foreseen[:-1], foreseen[-1], end, costs, self.discount, _TRACE)[1]  # no time-outs

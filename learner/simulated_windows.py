@@ -41,9 +41,8 @@ class SimulatedWindows:
         self._difference, self._draws = config.observation.target == "difference", config.arrival.draws
         sigma = math.exp(config.policy.judge_log_sigma) / config.action.scale  # in units of the policy's output
         self._deviation = config.arrival.noise * sigma
-        explained = state.cost_to_go.learn(
-            chunk.trials, state.observations, self._difference, state.random(FORESIGHT)
-        )  # fmt: skip
+        random = state.random(FORESIGHT)
+        explained = state.cost_to_go.learn(chunk.trials, state.observations, self._difference, random)
         self._useful = len(windows) if explained >= LEAST_FORESEEN else 0
         self.metrics = {"arrival/left": 0.0, "arrival/foreseen": explained}
         if len(windows):
@@ -77,7 +76,7 @@ class SimulatedWindows:
         norm = pull.flatten(1).norm(dim=1)
         pull = pull * (HARDEST * norm.median() / norm.clamp(min=1e-12)).clamp(max=1.0)[:, None, None, None]
         output = self._state.policy(self._state.observations(observation[:, :, :-1].detach()))
-        surrogate = (pull * output).sum() / count
+        surrogate = (pull * output).sum() / count  # lends the loss its gradient
         return costs.detach().mean() + surrogate - surrogate.detach()
 
     def follow(self, chosen, changes):
