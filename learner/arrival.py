@@ -30,6 +30,11 @@ class Arrival:
             return
         self._metrics = {"loss/arrival": 0.0, "gradient/arrival": 0.0, **self._windows.metrics}
 
+    @property
+    def rest(self):
+        """Weight of PPO's gradient in the mean with this one."""
+        return 1.0 / (1.0 + self._state.config.arrival.weight) if len(self._windows) else 1.0
+
     def inputs(self):
         """The policy's inputs in windows that are not of the chunk's own steps: [(n, 282)] or []."""
         return [self._windows.inputs()] if isinstance(self._windows, SimulatedWindows) else []

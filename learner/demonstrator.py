@@ -24,14 +24,15 @@ class Demonstrator:
         """The policy's inputs of one draw of demonstrations, or of none: [(K, 282)] or []."""
         return [self._draw()[0]] if len(self._pairs) else []
 
-    def step(self):
-        """One gradient step on `batch_size` demonstrations, drawn uniformly from all valid pairs; its metrics."""
+    def step(self, share=1.0):
+        """One gradient step on `batch_size` demonstrations, drawn uniformly from all valid pairs; its metrics. share:
+        factor on the gradient, where PPO's is but a share of what the policy descends."""
         if not len(self._pairs):
             return {"loss/sbc": 0.0, "gradient/sbc": 0.0}
         state, config = self._state, self._state.config.sbc
         inputs, action, weight = self._draw()
         loss = sbc.sbc_loss(state.policy(inputs), action, weight, config)
-        norm = state.descend("policy", loss)
+        norm = state.descend("policy", loss, share=share)
         return {"loss/sbc": loss.detach(), "gradient/sbc": norm}
 
     def _draw(self):

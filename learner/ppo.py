@@ -4,7 +4,7 @@ import math
 
 import torch
 
-LARGEST_RATE = {"adam": 3e-3, "kfac": 10.0}  # that a policy's learning rate may adapt to
+LARGEST_RATE = {"adam": 3e-3, "kfac": 100.0}  # that a policy's learning rate may adapt to
 _LOG_LIMIT = 20.0  # of any log ratio
 _LOG_WEIGHT = math.log(2.0)  # of the weight of a sample in the pipelined loss
 

@@ -58,10 +58,10 @@ class LearnerState:
             self.learning_rate = config.learning_rate
             self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
 
-    def descend(self, name, loss, added=None):
+    def descend(self, name, loss, added=None, share=1.0):
         """One step of the network `policy` or `value` down the gradient of a loss, clipped; its norm before that.
 
-        added: another gradient, in the order of the network's parameters, clipped as well; the step is down the mean of
+        share: factor on the clipped gradient. added: another gradient, in the order of the network's parameters, clipped as well; the step is down the mean of
         both, in which it has `arrival.weight` times the weight: one that joins later makes no step longer.
         """
         network, optimizer = getattr(self, name), getattr(self, f"{name}_optimizer")
@@ -71,6 +71,9 @@ class LearnerState:
         weight = self.config.arrival.weight
         for parameter, gradient in zip(network.parameters(), added or ()):
             parameter.grad.add_(gradient, alpha=weight).div_(1.0 + weight)
+        if share != 1.0:
+            for parameter in network.parameters():
+                parameter.grad.mul_(share)
         optimizer.step()
         return norm
 

@@ -66,7 +66,9 @@ def _epochs(state, batch, demonstrator, arrival):
     for _ in range(epochs):
         for rows in np.array_split(shuffle.permutation(batch.explored), batch.minibatches):
             rows = torch.as_tensor(rows, device=state.device)
-            record = {} if _waits(state) else {**demonstrator.step(), **_improve(state, batch, arrival, rows)}
+            record = {}
+            if not _waits(state):
+                record = {**demonstrator.step(arrival.rest), **_improve(state, batch, arrival, rows)}
             record.update(_judge(state, batch, rows))
             for name, number in record.items():
                 sums[name] = sums.get(name, 0.0) + number

@@ -102,6 +102,7 @@ RULES = {
     "arrival.physics": choice("learned", "simulated"),
     "arrival.after": at_least(0),
     "arrival.share": PROBABILITY,
+    "arrival.windows": at_least(1),
     "arrival.lead": at_least(0),
     "arrival.noise": at_least(0),
     "arrival.draws": at_least(1),

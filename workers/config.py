@@ -134,6 +134,8 @@ class ArrivalConfig:
     """simulated: updates before the first episodes are played for it: PPO, whose chunks are far cheaper, goes ahead."""
     share: float = 0.3
     """simulated: share of the environments beside which an episode is played for it in every chunk."""
+    windows: int = 1
+    """simulated: windows of each such episode; where each ends is drawn on its own."""
     lead: int = 5
     """simulated: what is left is measured by the thresholds of so many tightenings on, which is where the root's place
     counts as much as the joints."""

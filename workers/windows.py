@@ -16,14 +16,14 @@ from workers.inference import PolicyNetwork
 from workers.kinematics import NUM_DOF
 from workers.observation import OBSERVATION_SIZE
 from workers.reward import KP, RP, Q
-from workers.types import FELL, Thresholds, Trials, Windows
+from workers.types import FELL, Thresholds, Trials, Windows, concatenate_windows
 
 # last steps of a window without noise, which the policy could hardly correct any more: it would hide the rest
 QUIET = 3
 FAR = 2.0  # m; whose root's place is farther off after a step is left to PPO
 NEVER = Thresholds(0.0, 0.0, 0.0)  # no episode ends by arriving
 _EPISODES = 2**40  # from here on their tasks are numbered, by the clock: those of training never get there
-_DRAW = 2**20  # the block of the numbers that say who plays and where windows end; noise has the first few
+_DRAW = 2**20  # from this block on are numbers that say who plays and where windows end; noise has the first few
 
 
 @njit(cache=True)
@@ -36,13 +36,13 @@ def drawn(seed, environment, clock, share):
 
 
 @njit(cache=True)
-def _last(seed, environment, clock, near):
-    """(n,): one of the steps near (H, n) of each, all equally likely; -1 where there is none."""
+def _last(seed, environment, clock, number, near):
+    """(n,): one of the steps near (H, n) of each, all equally likely, for window `number`; -1 where there is none."""
     out = np.full(near.shape[1], -1, dtype=np.int64)
     for i in range(len(out)):
         steps = np.flatnonzero(near[:, i])
         if len(steps):
-            out[i] = steps[int(uniforms(seed, DERIVATIVES, environment[i], clock, _DRAW)[1] * len(steps))]
+            out[i] = steps[int(uniforms(seed, DERIVATIVES, environment[i], clock, _DRAW + number)[1] * len(steps))]
     return out
 
 
@@ -63,24 +63,32 @@ class Scouts:
         left, physics, observation = self._play(network, deviation, thresholds, environment, clock)
         limits = self._limits(thresholds, len(environment))
         trials = Trials(environment, limits.astype(np.float32), observation, np.isfinite(left[:, :, 0]))
-        last = _last(self._seed, environment, clock, left[:, :, 0] < FAR)
+        near, made = left[:, :, 0] < FAR, []
+        for number in range(self._config.arrival.windows):
+            last = _last(self._seed, environment, clock, number, near)
+            made.append(self._window(network, deviation, trials, physics, last, clock))
+        return concatenate_windows(made), trials
+
+    def _window(self, network, deviation, trials, physics, last, clock):
+        """`Windows` that end at steps last (n,) of the episodes of `Trials`; -1: none. physics: (H, n, nstate), before
+        each of their steps."""
         rows = np.flatnonzero(last >= 0)
-        first = last[rows] - self._config.arrival.steps + 1
+        environment, first = trials.environment[rows], last[rows] - self._config.arrival.steps + 1
         noise = [
-            deviation * self._noise(environment[rows], clock, np.maximum(first + k, 0))
+            deviation * self._noise(environment, clock, np.maximum(first + k, 0))
             for k in range(self._config.arrival.steps)
         ]
         for unseen in noise[-QUIET:]:
             unseen[:] = 0.0
         begin = np.maximum(-first, 0)
         made = Windows(
-            environment=environment[rows],
+            environment=environment,
             limits=trials.limits[rows],
             begin=begin,
             **self._last_steps(network, physics[np.maximum(first, 0), rows], rows, begin, noise),
         )
         fine = np.isfinite(made.by_action).all(axis=(1, 2, 3)) & np.isfinite(made.by_state).all(axis=(1, 2, 3))
-        return made if fine.all() else made.take(np.flatnonzero(fine)), trials
+        return made if fine.all() else made.take(np.flatnonzero(fine))
 
     def _limits(self, thresholds, n):
         """(n, 3): the thresholds of the tasks in the first n rows, `arrival.lead` tightenings on."""

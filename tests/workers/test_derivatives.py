@@ -95,10 +95,11 @@ def pushed(config, model, physics, action, target_qpos, k):
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("by_state", (True, False))
-def test_they_are_those_of_one_simulation_after_the_other(states, make_config, mode, by_state):
+@pytest.mark.parametrize(("by_state", "substeps"), ((True, 1), (False, 2)))
+def test_they_are_those_of_one_simulation_after_the_other(states, make_config, mode, by_state, substeps):
+    """Up to the substep after which they no longer are differenced."""
     _, env, action = states
-    config = make_config({**SOLES, "action.mode": mode})
+    config = make_config({**SOLES, "action.mode": mode, "physics.substeps": substeps})
     model = build_model(config.physics)
     found = Derivatives(config, 1).of(env.physics, action, env.target_qpos, by_state)
     assert found.shape == (6, TANGENT, (TANGENT if by_state else 0) + NUM_DOF)
@@ -113,7 +114,7 @@ def test_they_are_those_of_one_simulation_after_the_other(states, make_config, m
 def test_they_are_so_at_the_limits_of_joints_and_actuators_and_falling(states, make_config, sole):
     """Random poses on and in the floor, fast, with actions out of reach."""
     _, env, _ = states
-    config, generator = make_config({**SOLES, "physics.sole": sole}), np.random.default_rng(2)
+    config, generator = make_config({**SOLES, "physics.sole": sole, "physics.substeps": 1}), np.random.default_rng(2)
     model = build_model(config.physics)
     data, physics = mujoco.MjData(model), env.physics.copy()
     met = set()

@@ -124,10 +124,29 @@ def test_all_near_steps_are_equally_likely_to_be_the_last(config):
     near = np.zeros((7, 3000), dtype=bool)
     near[[1, 2, 5, 6]] = True
     near[:, ::3] = False
-    last = windows._last(SEED, np.arange(3000), 16, near)
+    last = windows._last(SEED, np.arange(3000), 16, 1, near)
     assert (last[::3] == -1).all()
     found = np.bincount(last[last >= 0], minlength=7) / 2000
     np.testing.assert_allclose(found, [0, 0.25, 0.25, 0, 0, 0.25, 0.25], atol=0.04)
+
+
+def test_each_has_as_many_windows_as_asked_for_wherever_they_end(library, make_config, config, policy, easy):
+    """They begin in what was seen of the same episodes; the first of each is what there is if it is the only one."""
+    (one, alone), (found, trials) = (
+        Scouts(make_config({**ON, "arrival.windows": count}), library, N, SEED, 1).play(policy, easy, INDEX, 16)
+        for count in (1, 3)
+    )
+    np.testing.assert_array_equal(trials.observation, alone.observation)
+    assert found.environment.tolist() == sorted([*one.environment] * 3)
+    np.testing.assert_array_equal(found.observation[::3], one.observation)
+    np.testing.assert_array_equal(found.by_action[::3], one.by_action)
+    near = trials.standing[:, [trials.environment.tolist().index(environment) for environment in one.environment]]
+    first = [windows._last(SEED, one.environment, 16, number, near) - STEPS + 1 for number in range(3)]
+    assert len({*map(tuple, first)}) == 3
+    for m, environment in enumerate(found.environment):
+        row = trials.environment.tolist().index(environment)
+        begin = max(first[m % 3][m // 3], 0)
+        np.testing.assert_array_equal(found.observation[m, 0], trials.observation[begin, row])
 
 
 def test_their_last_steps_are_played_again_without_noise_and_differentiated(scouts, library, config, policy, easy):
@@ -147,11 +166,11 @@ def test_their_last_steps_are_played_again_without_noise_and_differentiated(scou
         for k in range(begin, STEPS):
             observation = env.observe(new_observations(1))
             mean = network.mean(observation).copy()
-            of_all = derivatives.of(env.physics, mean, target[0])[0]
+            of_all = derivatives.of(env.physics, mean, target[0], by_state=k > 0)[0]
             env.step(mean, Thresholds(0.0, 0.0, 0.0))
             np.testing.assert_array_equal(found.observation[m, k], observation[0])
             np.testing.assert_array_equal(found.mean[m, k], mean[0])
-            np.testing.assert_array_equal(found.by_action[m, k], of_all[:, 74:])
+            np.testing.assert_array_equal(found.by_action[m, k], of_all[:, -31:])
             if k:
                 np.testing.assert_array_equal(found.by_state[m, k - 1], of_all[:, :74])
             np.testing.assert_array_equal(found.seen[m, k], derivatives.observed(env.qpos, env.qvel, *target)[0])
