@@ -31,9 +31,14 @@ class Arrival:
         self._metrics = {"loss/arrival": 0.0, "gradient/arrival": 0.0, **self._windows.metrics}
 
     @property
+    def descends(self):
+        """Whether there is anything to descend."""
+        return len(self._windows) > 0
+
+    @property
     def rest(self):
         """Weight of PPO's gradient in the mean with this one."""
-        return 1.0 / (1.0 + self._state.config.arrival.weight) if len(self._windows) else 1.0
+        return 1.0 / (1.0 + self._state.config.arrival.weight) if self.descends else 1.0
 
     def inputs(self):
         """The policy's inputs in windows that are not of the chunk's own steps: [(n, 282)] or []."""
@@ -41,7 +46,7 @@ class Arrival:
 
     def gradient(self):
         """(gradient in the order of the policy's parameters, clipped as PPO's, or None; metrics) of a few windows."""
-        if not len(self._windows):
+        if not self.descends:
             return None, self._metrics
         state, config = self._state, self._state.config.arrival
         chosen = self._random.integers(len(self._windows), size=config.batch_size)

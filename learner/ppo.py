@@ -55,10 +55,14 @@ def target_divergence(config, updates):
 
 def _line(config, updates):
     """From `target_kl` to `final_kl`."""
-    if config.final_kl is None:
-        return config.target_kl
-    done = min(updates / config.kl_updates, 1.0) if config.kl_updates else 1.0
-    return config.target_kl + done * (config.final_kl - config.target_kl)
+    return straight(config.target_kl, config.final_kl, updates, config.kl_updates)
+
+
+def straight(first, last, updates, over):
+    """What goes from `first` to `last` in a straight line over so many updates; without `last` it stays."""
+    if last is None:
+        return first
+    return first + (min(updates / over, 1.0) if over else 1.0) * (last - first)
 
 
 def adapt_learning_rate(rate, divergence, target, largest):

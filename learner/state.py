@@ -61,8 +61,9 @@ class LearnerState:
     def descend(self, name, loss, added=None, share=1.0):
         """One step of the network `policy` or `value` down the gradient of a loss, clipped; its norm before that.
 
-        share: factor on the clipped gradient. added: another gradient, in the order of the network's parameters, clipped as well; the step is down the mean of
-        both, in which it has `arrival.weight` times the weight: one that joins later makes no step longer.
+        share: factor on the clipped gradient. added: another gradient, in the order of the network's parameters,
+        clipped as well; the step is down the mean of both, in which it has `arrival.weight` times the weight: one that
+        joins later makes no step longer.
         """
         network, optimizer = getattr(self, name), getattr(self, f"{name}_optimizer")
         optimizer.zero_grad(set_to_none=True)

@@ -41,9 +41,8 @@ def update(state, chunks):
         if not _waits(state):
             state.follow()
             state.learning_rate = ppo.adapt_learning_rate(
-                state.learning_rate, divergence, ppo.target_divergence(config.ppo, state.updates),
-                ppo.LARGEST_RATE[state.method],
-            )  # fmt: skip
+                state.learning_rate, *_aim(state, batch, arrival, divergence), ppo.LARGEST_RATE[state.method]
+            )
         state.skipped = 0
     else:
         state = copy.deepcopy(before)
@@ -76,6 +75,17 @@ def _epochs(state, batch, demonstrator, arrival):
     late = divergences[-(batch.minibatches if epochs > 1 else -(-batch.minibatches // 2)) :]
     steps = len(divergences)
     return {name: float(total) / steps for name, total in sums.items()}, float(sum(late)) / len(late)
+
+
+def _aim(state, batch, arrival, divergence):
+    """(the KL divergence of an update, the one that it was to have)."""
+    config = state.config
+    if not arrival.descends or config.arrival.target_kl is None:
+        return divergence, ppo.target_divergence(config.ppo, state.updates)
+    target = ppo.straight(config.arrival.target_kl, config.arrival.final_kl, state.updates, config.ppo.kl_updates)
+    # windows are of the evaluation's noise, and exploration's may be much larger while thresholds are loose
+    judged = math.exp(config.policy.judge_log_sigma) / config.action.scale
+    return divergence * (typical(batch.sigma[batch.explored]) / judged) ** 2, target
 
 
 def _ready(state, batch, demonstrator, arrival, shuffle):

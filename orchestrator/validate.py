@@ -109,6 +109,8 @@ RULES = {
     "arrival.discount": FACTOR,
     "arrival.steps": at_least(1),
     "arrival.batch_size": at_least(1),
+    "arrival.target_kl": above(0),
+    "arrival.final_kl": above(0),
     "arrival.hidden": every(at_least(1)),
     "row": (
         "a name of letters, digits, '_', '-' and '.'",
@@ -197,6 +199,11 @@ def check_relations(config, source):
             "uniform and move the curriculum: set policy.judges, e.g. policy.judges=8"
         )
     simulated = config.arrival.physics == "simulated"
+    if config.arrival.weight and simulated and not config.physics.sole:
+        raise InputError(
+            f"{source('arrival.physics')}: arrival.physics=simulated differentiates the ground's contact, which hard "
+            "feet make and break at once: set physics.sole, e.g. physics.sole=0.02, or arrival.weight=0"
+        )
     if config.arrival.weight and simulated and config.arrival.steps > config.task.time_limit:
         raise InputError(
             f"{source('arrival.steps')}: arrival.steps={config.arrival.steps} is more than an episode's "

@@ -151,6 +151,11 @@ class ArrivalConfig:
     """simulated: of what is left after each further step; after the last of a window a network foresees the rest."""
     batch_size: int = 64
     """Episodes per step of the policy, at most."""
+    target_kl: float | None = None
+    """The KL divergence that an update beside windows aims at instead of `ppo.target_kl`, under the evaluation's noise,
+    whatever exploration's is. None: as PPO's."""
+    final_kl: float | None = None
+    """`target_kl` goes to this as `ppo.target_kl` to `ppo.final_kl`. None: it stays."""
     hidden: list[int] = field(default_factory=lambda: [512, 512])
     """Units of the hidden layers of the network (SiLU) that learns physics (learned) or what is left later
     (simulated)."""

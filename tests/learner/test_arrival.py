@@ -180,7 +180,9 @@ def test_a_chunk_in_which_nobody_came_near_still_teaches_physics_and_nothing_els
     assert metrics["loss/arrival"] == metrics["gradient/arrival"] == 0.0 and metrics["loss/dynamics"] > 0.0
 
 
-def test_a_step_goes_down_the_weighted_mean_of_both_clipped_gradients(make_config):
+@pytest.mark.parametrize("both", (True, False))
+def test_a_step_goes_down_the_weighted_mean_of_both_clipped_gradients(make_config, both):
+    """Or down its share of one."""
     state = LearnerState(make_config({**ON, "arrival.weight": 4.0}), 1)
     parameters = list(state.policy.parameters())
     state.policy_optimizer = torch.optim.SGD(parameters, lr=1.0)
@@ -190,7 +192,9 @@ def test_a_step_goes_down_the_weighted_mean_of_both_clipped_gradients(make_confi
     length = torch.sqrt(sum((gradient**2).sum() for gradient in own))
     assert length > state.config.ppo.max_grad_norm
     other = [torch.ones_like(parameter) for parameter in parameters]
-    state.descend("policy", 100.0 * (state.policy(inputs) ** 2).sum(), other)
+    loss = 100.0 * (state.policy(inputs) ** 2).sum()
+    state.descend("policy", loss, other) if both else state.descend("policy", loss, share=0.2)
     for old, new, gradient in zip(before, parameters, own):
         clipped = gradient * state.config.ppo.max_grad_norm / length
-        torch.testing.assert_close(old - new.detach(), (clipped + 4.0) / 5.0, rtol=1e-4, atol=1e-5)
+        expected = (clipped + 4.0) / 5.0 if both else clipped / 5.0
+        torch.testing.assert_close(old - new.detach(), expected, rtol=1e-4, atol=1e-5)

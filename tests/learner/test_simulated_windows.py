@@ -266,6 +266,23 @@ def test_nothing_is_descended_until_much_is_foreseen_but_the_foresight_learns(le
     assert not torch.equal(before, learned)
 
 
+@pytest.mark.parametrize(("weight", "descended", "share"), ((4.0, True, 0.2), (4.0, False, 1.0), (0.0, True, 1.0)))
+def test_steps_of_sbc_are_as_much_shorter_as_ppos_gradient(lesson, make_config, monkeypatch, weight, descended, share):
+    config, chunk = make_config({**ON, "arrival.weight": weight}), lesson[1]
+    if not descended:
+        monkeypatch.setattr(simulated_windows, "LEAST_FORESEEN", np.inf)
+    shares, descend = [], LearnerState.descend
+
+    def watched(state, name, loss, added=None, share=1.0):
+        if name == "policy":
+            shares.append(share)
+        return descend(state, name, loss, added, share)
+
+    monkeypatch.setattr(LearnerState, "descend", watched)
+    update(LearnerState(config, 1), [chunk])
+    assert set(shares[::2]) == {share} and set(shares[1::2]) == {1.0}  # one step of SBC, then one of PPO
+
+
 def test_a_chunk_without_windows_changes_nothing(lesson, assert_same_bits):
     config, chunk, _ = lesson
     none = copy.copy(chunk)

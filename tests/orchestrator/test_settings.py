@@ -181,7 +181,11 @@ def test_suggestions():
     "values, words",
     [
         (["arrival.steps=17", "horizon=16"], "arrival.steps=17 is more than horizon=16.*lower it"),
-        (["arrival.physics=simulated", "arrival.steps=61"], "arrival.steps=61 is more than an episode's .* lower it"),
+        (["arrival.physics=simulated", "physics.sole=0"], "arrival.physics=simulated.*hard feet.*physics.sole=0.02"),
+        (
+            ["arrival.physics=simulated", "arrival.steps=61", "physics.sole=0.02"],
+            "arrival.steps=61 is more than an episode's .* lower it",
+        ),
         (["reward.key_body_frame=own"], "arrival.weight=0.1 follows.*common frame only.*reward.key_body_frame=common"),
     ],
 )
