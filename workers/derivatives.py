@@ -4,12 +4,9 @@ MuJoCo has no backward pass; on soles (`physics.sole`) physics is smooth enough 
 tangent coordinates, the root's place (3, world) and turn (3, its own frame), the joints' (31), then as many velocities
 as qvel has them. A policy step is played once. In each of its substeps the acceleration a, (next qvel - qvel) / h, is
 where the residual r of inverse dynamics vanishes; what a small change of pose, velocity or actuator targets does to it
-follows from the implicit function theorem, da = -(dr/da)^-1 dr. No solver runs for that, as in a pushed simulation. By
-acceleration, and what springs and dampers of the acting constraints have of it by pose and velocity, dr is what a step
-leaves in MuJoCo's data anyway. The rest of it (gravity, Coriolis forces, the turning of forces and of their arms) is
-differenced (`mjd_inverseFD`) in the first substep and taken to last through the others: exact for one substep, off by
-a few hundredths at the end of four, by much more where a foot comes down meanwhile. The substeps' derivatives are
-chained.
+follows from the implicit function theorem, da = -(dr/da)^-1 dr. No solver runs for that, as in a pushed simulation: by
+pose, r is differenced (MuJoCo's `mjd_inverseFD`); by velocity and acceleration its derivatives are what a step leaves
+in MuJoCo's data anyway, linear in those of the constraints that act. The substeps' derivatives are chained.
 """
 
 import math
@@ -41,7 +38,6 @@ TANGENT = 2 * NV
 _SIZE = 1e-6  # m, rad: of differences of what is smooth and exact: inverse dynamics, actuator targets, observations
 _STATES = 8  # whose matrices are multiplied together
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_PYRAMIDAL = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_PYRAMIDAL)
 
 
 @njit(cache=True, nogil=True)
@@ -121,31 +117,6 @@ def _add_constraints(force, weight, damping, lengths, starts, columns, values, b
 
 
 @njit(cache=True, nogil=True)
-def _add_springs(force, weight, kbip, depth, kind, number, address, dimension, lengths, starts, columns, values, out):
-    """Add the active constraints' part of dr by pose (37, 37), their directions held: -J^T df/d(depth) J'.
-
-    f = -D (J a + b J v + k i depth), where the impedance i is a function of the depth, and D of i: i / ((1 - i) R). A
-    contact's depth goes with its normal, J' the mean of its pyramid's edges. kbip: k, b, i and its slope; kind, number:
-    efc_type, efc_id; address, dimension: of the contacts. Else as `_add_constraints`.
-    """
-    normal = np.zeros(NV)
-    for row in range(len(force)):
-        if force[row] > 0.0:
-            first, edges = row, 1
-            if kind[row] == _PYRAMIDAL:
-                first, edges = address[number[row]], 2 * (dimension[number[row]] - 1)
-            stiffness, _, impedance, slope = kbip[row]
-            by_depth = force[row] * slope / (impedance * (1.0 - impedance))
-            by_depth -= weight[row] * stiffness * (impedance + slope * depth[row])
-            normal[:] = 0.0
-            for edge in range(first, first + edges):
-                for j in range(starts[edge], starts[edge] + lengths[edge]):
-                    normal[columns[j]] += values[j] / edges
-            for i in range(starts[row], starts[row] + lengths[row]):
-                out[columns[i]] -= by_depth * values[i] * normal
-
-
-@njit(cache=True, nogil=True)
 def _subtract_sparse(lengths, starts, columns, values, out):
     for row in range(len(lengths)):
         for i in range(starts[row], starts[row] + lengths[row]):
@@ -211,7 +182,6 @@ class _Simulation:
         shape = _STATES, physics.substeps
         self._mass, self._constraint = np.empty((*shape, NV, NV)), np.empty((*shape, NV, NV))  # M, J^T D J
         self._react = np.empty((*shape, NV, TANGENT))  # r by pose and velocity
-        self._rest = np.empty((NV, TANGENT))  # r by pose and velocity, but for constraints' springs and dampers
         self._stiffness = np.empty((*shape, NUM_DOF))  # of the actuators, N m / rad; 0 at their limits
         self._velocity = np.empty((*shape, NV))  # after the substep
 
@@ -223,7 +193,7 @@ class _Simulation:
         _aims(action, self._mode, self._scale, data.qpos, target_qpos, data.ctrl, self._aims[m])
         try:
             for k in range(self._substeps):
-                self._substep(m, k, by_state or k > 0, k == (0 if by_state else 1))
+                self._substep(m, k, by_state or k > 0)
             self._lost[m] = data.warning.number[DIVERGED].any() or not np.isfinite(self._velocity[m]).all()
         except mujoco.FatalError:
             self._lost[m] = True
@@ -231,7 +201,7 @@ class _Simulation:
             self._mass[m], self._constraint[m], self._react[m] = np.eye(NV), 0.0, 0.0
             self._stiffness[m], self._velocity[m] = 0.0, 0.0
 
-    def _substep(self, m, k, by_state, again):
+    def _substep(self, m, k, by_state):
         data, qpos, qvel = self._data, self._data.qpos.copy(), self._data.qvel.copy()
         mujoco.mj_step(self._model, data)
         # inertia, forces and constraints are still those of before the step
@@ -245,29 +215,21 @@ class _Simulation:
         self._stiffness[m, k] = np.where(np.abs(data.actuator_force) < self._limits, self._kp, 0.0)
         self._velocity[m, k] = data.qvel
         if by_state:
-            _add_springs(
-                data.efc_force, data.efc_D, data.efc_KBIP, data.efc_pos - data.efc_margin, data.efc_type, data.efc_id,
-                data.contact.efc_address, data.contact.dim, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind,
-                data.efc_J, react[:, :NV],
-            )  # fmt: skip
-            if again:
-                mujoco.mj_getState(self._model, data, self._after, _STATE)
-                self._differentiate(qpos, qvel, react)
-                mujoco.mj_setState(self._model, data, self._after, _STATE)
-            react += self._rest
+            mujoco.mj_getState(self._model, data, self._after, _STATE)
+            self._differentiate(qpos, qvel, react)
+            mujoco.mj_setState(self._model, data, self._after, _STATE)
 
     def _differentiate(self, qpos, qvel, react):
-        """Derivatives of r by the state qpos, qvel that a substep began at, less react (37, 74), what springs and
-        dampers of constraints have of them, into what is `_rest`; spoils the simulation's state."""
+        """Derivatives of r by the state qpos, qvel that a substep began at, into react (37, 74), which has the
+        constraints' part of those by velocity; spoils the simulation's state."""
         model, data = self._model, self._data
         acceleration = (data.qvel - qvel) / self._timestep
         data.qpos[:], data.qvel[:] = qpos, qvel
         mujoco.mj_implicit(self._implicit, data)
-        self._rest[:] = 0.0
-        _subtract_sparse(model.D_rownnz, model.D_rowadr, model.D_colind, data.qDeriv, self._rest[:, NV:])
+        _subtract_sparse(model.D_rownnz, model.D_rowadr, model.D_colind, data.qDeriv, react[:, NV:])
         data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, acceleration
         mujoco.mjd_inverseFD(model, data, _SIZE, True, self._differences, None, None, None, None, None, None)
-        self._rest[:, :NV] = self._differences.T - react[:, :NV]
+        react[:, :NV] = self._differences.T
 
     def chain(self, count, by_state):
         """(count, 74, 105 or 31): derivatives of the policy steps of the first `count` states."""

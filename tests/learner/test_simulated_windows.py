@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from learner import simulated_windows
+from learner import ppo, simulated_windows
 from learner.arrival import Arrival
 from learner.encoding import residuals, split
 from learner.simulated_windows import SimulatedWindows
@@ -281,6 +281,29 @@ def test_steps_of_sbc_are_as_much_shorter_as_ppos_gradient(lesson, make_config, 
     monkeypatch.setattr(LearnerState, "descend", watched)
     update(LearnerState(config, 1), [chunk])
     assert set(shares[::2]) == {share} and set(shares[1::2]) == {1.0}  # one step of SBC, then one of PPO
+
+
+@pytest.mark.parametrize(("own", "descended"), ((True, True), (True, False), (False, True)))
+def test_beside_windows_the_divergence_may_have_an_aim_of_its_own_under_the_evaluations_noise(
+    lesson, make_config, monkeypatch, own, descended
+):
+    """The step size follows it from PPO's deviation exp(-3) to the evaluation's exp(-3.7): exp(1.4) times as large."""
+    plain, seen = {**ON, "ppo.target_kl": 0.5, "ppo.final_kl": 0.1, "ppo.kl_updates": 10}, []
+    config = make_config({**plain, "arrival.target_kl": 2.0, "arrival.final_kl": 1.0} if own else plain)
+    if not descended:
+        monkeypatch.setattr(simulated_windows, "LEAST_FORESEEN", np.inf)
+    monkeypatch.setattr(ppo, "adapt_learning_rate", lambda rate, *told: seen.append(told) or rate)
+    state = LearnerState(config, 1)
+    state.updates = 5
+    update(state, [lesson[1]])
+    state.config = make_config(plain)
+    update(state, [lesson[1]])
+    (divergence, target, _), (reference, usual, _) = seen
+    assert usual == pytest.approx(0.3)
+    if own and descended:
+        assert target == pytest.approx(1.5) and divergence == pytest.approx(reference * np.exp(1.4), rel=1e-4)
+    else:
+        assert (divergence, target) == (reference, usual)
 
 
 def test_a_chunk_without_windows_changes_nothing(lesson, assert_same_bits):

@@ -166,11 +166,11 @@ def test_their_last_steps_are_played_again_without_noise_and_differentiated(scou
         for k in range(begin, STEPS):
             observation = env.observe(new_observations(1))
             mean = network.mean(observation).copy()
-            of_all = derivatives.of(env.physics, mean, target[0], by_state=k > 0)[0]
+            of_all = derivatives.of(env.physics, mean, target[0])[0]
             env.step(mean, Thresholds(0.0, 0.0, 0.0))
             np.testing.assert_array_equal(found.observation[m, k], observation[0])
             np.testing.assert_array_equal(found.mean[m, k], mean[0])
-            np.testing.assert_array_equal(found.by_action[m, k], of_all[:, -31:])
+            np.testing.assert_array_equal(found.by_action[m, k], of_all[:, 74:])
             if k:
                 np.testing.assert_array_equal(found.by_state[m, k - 1], of_all[:, :74])
             np.testing.assert_array_equal(found.seen[m, k], derivatives.observed(env.qpos, env.qvel, *target)[0])
