@@ -8,8 +8,6 @@ that it takes, is in the model (as in Levine and Abbeel, "Learning neural networ
 under unknown dynamics", 2014, whose models are fitted to episodes).
 """
 
-import math
-
 import torch
 
 from learner.cost_to_go import cost
@@ -39,8 +37,7 @@ class SimulatedWindows:
         )  # fmt: skip
         config = state.config
         self._difference, self._draws = config.observation.target == "difference", config.arrival.draws
-        sigma = math.exp(config.policy.judge_log_sigma) / config.action.scale  # in units of the policy's output
-        self._deviation = config.arrival.noise * sigma
+        self._deviation = config.arrival.noise * state.judge_sigma
         random = state.random(FORESIGHT)
         explained = state.cost_to_go.learn(chunk.trials, state.observations, self._difference, random)
         self._useful = len(windows) if explained >= LEAST_FORESEEN else 0

@@ -1,6 +1,7 @@
 """The learner's state between two updates."""
 
 import copy
+import math
 
 import numpy as np
 import torch
@@ -47,6 +48,11 @@ class LearnerState:
     def method(self):
         """`adam` or `kfac`: how the policy descends."""
         return "kfac" if isinstance(self.policy_optimizer, KFAC) else "adam"
+
+    @property
+    def judge_sigma(self):
+        """Deviation of the evaluation's noise, in units of the policy's output."""
+        return math.exp(self.config.policy.judge_log_sigma) / self.config.action.scale
 
     def descend_by(self, method):
         """Let the policy begin anew with `adam` or `kfac`."""

@@ -84,8 +84,7 @@ def _aim(state, batch, arrival, divergence):
         return divergence, ppo.target_divergence(config.ppo, state.updates)
     target = ppo.straight(config.arrival.target_kl, config.arrival.final_kl, state.updates, config.ppo.kl_updates)
     # windows are of the evaluation's noise, and exploration's may be much larger while thresholds are loose
-    judged = math.exp(config.policy.judge_log_sigma) / config.action.scale
-    return divergence * (typical(batch.sigma[batch.explored]) / judged) ** 2, target
+    return divergence * (typical(batch.sigma[batch.explored]) / state.judge_sigma) ** 2, target
 
 
 def _ready(state, batch, demonstrator, arrival, shuffle):
