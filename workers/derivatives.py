@@ -4,9 +4,10 @@ MuJoCo has no backward pass; on soles (`physics.sole`) physics is smooth enough 
 tangent coordinates, the root's place (3, world) and turn (3, its own frame), the joints' (31), then as many velocities
 as qvel has them. A policy step is played once. In each of its substeps the acceleration a, (next qvel - qvel) / h, is
 where the residual r of inverse dynamics vanishes; what a small change of pose, velocity or actuator targets does to it
-follows from the implicit function theorem, da = -(dr/da)^-1 dr. No solver runs for that, as in a pushed simulation: by
-pose, r is differenced (MuJoCo's `mjd_inverseFD`); by velocity and acceleration its derivatives are what a step leaves
-in MuJoCo's data anyway, linear in those of the constraints that act. The substeps' derivatives are chained.
+follows from the implicit function theorem, da = -(dr/da)^-1 dr. No solver runs for that, as in a pushed simulation: the
+derivatives of r are known from what a step leaves in MuJoCo's data (`workers.inverse_derivatives`), but for contacts
+other than the feet's, with which r is differenced by pose (MuJoCo's `mjd_inverseFD`). The substeps' derivatives are
+chained.
 """
 
 import math
@@ -18,7 +19,9 @@ import numpy as np
 from numba import njit
 
 from workers.action import ABSOLUTE, MODES, TARGET, control, decode
+from workers.constraint_derivatives import add_reactions
 from workers.humanoid import DIVERGED, build_model
+from workers.inverse_derivatives import InverseDerivatives
 from workers.kinematics import (
     JOINT_DOF,
     JOINT_QPOS,
@@ -35,7 +38,8 @@ from workers.kinematics import (
 from workers.observation import OBSERVATION_SIZE, observe
 
 TANGENT = 2 * NV
-_SIZE = 1e-6  # m, rad: of differences of what is smooth and exact: inverse dynamics, actuator targets, observations
+_SIZE = 1e-6  # m, rad: of differences of what is smooth and exact: actuator targets, observations
+_DEPTH = 1e-8  # the same of inverse dynamics, where soles begin to give way within less than 0.1 mm
 _STATES = 8  # whose matrices are multiplied together
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -101,29 +105,6 @@ def _joint_differences(start, end, axis, out):
 
 
 @njit(cache=True, nogil=True)
-def _add_constraints(force, weight, damping, lengths, starts, columns, values, by_acceleration, by_velocity):
-    """Add the active constraints' part of dr by acceleration and by velocity (37, 37): J^T D J, J^T D b J.
-
-    A limit or a contact's edge exerts -D (J a + b J v + ...) while that is positive. force: what each exerts (MuJoCo's
-    efc_state may be of an iteration before). weight: D, damping: b; lengths, starts, columns, values: sparse J.
-    """
-    for row in range(len(force)):
-        if force[row] > 0.0:
-            for i in range(starts[row], starts[row] + lengths[row]):
-                for j in range(starts[row], starts[row] + lengths[row]):
-                    product = weight[row] * values[i] * values[j]
-                    by_acceleration[columns[i], columns[j]] += product
-                    by_velocity[columns[i], columns[j]] += damping[row] * product
-
-
-@njit(cache=True, nogil=True)
-def _subtract_sparse(lengths, starts, columns, values, out):
-    for row in range(len(lengths)):
-        for i in range(starts[row], starts[row] + lengths[row]):
-            out[row, columns[i]] -= values[i]
-
-
-@njit(cache=True, nogil=True)
 def _advance_turn(turn, speed, pose, timestep):
     """Derivatives pose (3, n) of an orientation, after it has gone on with a velocity (3,) whose own are speed (3, n).
 
@@ -168,12 +149,11 @@ class _Simulation:
 
     def __init__(self, config):
         physics, self._mode, self._scale = config.physics, MODES[config.action.mode], config.action.scale
-        self._model, self._implicit = build_model(physics), build_model(physics)
+        self._model = build_model(physics)
         # inverse dynamics of the acceleration that implicitfast integrates
         self._model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
-        # its qDeriv has Coriolis forces, too; it plays nothing
-        self._implicit.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICIT
         self._data, self._differences = mujoco.MjData(self._model), np.empty((NV, NV))
+        self._inverse = InverseDerivatives(self._model)
         self._after = np.empty(mujoco.mj_stateSize(self._model, _STATE))
         self._kp, self._limits = self._model.actuator_gainprm[:, 0], self._model.actuator_forcerange[:, 1]
         self._damping, self._timestep, self._substeps = self._model.dof_damping, physics.timestep, physics.substeps
@@ -181,7 +161,8 @@ class _Simulation:
         self._lost = np.empty(_STATES, dtype=bool)  # whose simulation exploded
         shape = _STATES, physics.substeps
         self._mass, self._constraint = np.empty((*shape, NV, NV)), np.empty((*shape, NV, NV))  # M, J^T D J
-        self._react = np.empty((*shape, NV, TANGENT))  # r by pose and velocity
+        self._react = np.empty((*shape, NV, TANGENT))  # r by pose and velocity, at the same a'
+        self._turned = np.empty((*shape, NV, NV))  # M (a' - a) by pose
         self._stiffness = np.empty((*shape, NUM_DOF))  # of the actuators, N m / rad; 0 at their limits
         self._velocity = np.empty((*shape, NV))  # after the substep
 
@@ -198,38 +179,39 @@ class _Simulation:
         except mujoco.FatalError:
             self._lost[m] = True
         if self._lost[m]:  # the others of its stack can be solved
-            self._mass[m], self._constraint[m], self._react[m] = np.eye(NV), 0.0, 0.0
+            self._mass[m], self._constraint[m], self._react[m], self._turned[m] = np.eye(NV), 0.0, 0.0, 0.0
             self._stiffness[m], self._velocity[m] = 0.0, 0.0
 
     def _substep(self, m, k, by_state):
         data, qpos, qvel = self._data, self._data.qpos.copy(), self._data.qvel.copy()
         mujoco.mj_step(self._model, data)
         # inertia, forces and constraints are still those of before the step
-        mass, constraint, react = self._mass[m, k], self._constraint[m, k], self._react[m, k]
+        mass, constraint, react, turned = (
+            of[m, k] for of in (self._mass, self._constraint, self._react, self._turned)
+        )  # fmt: skip
         mujoco.mj_fullM(self._model, data, mass)
-        constraint[:] = react[:] = 0.0
-        _add_constraints(
-            data.efc_force, data.efc_D, data.efc_KBIP[:, 1], data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind,
+        constraint[:] = react[:] = turned[:] = 0.0
+        add_reactions(
+            data.efc_force, data.efc_D, data.efc_KBIP, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind,
             data.efc_J, constraint, react[:, NV:],
         )  # fmt: skip
         self._stiffness[m, k] = np.where(np.abs(data.actuator_force) < self._limits, self._kp, 0.0)
         self._velocity[m, k] = data.qvel
         if by_state:
-            mujoco.mj_getState(self._model, data, self._after, _STATE)
-            self._differentiate(qpos, qvel, react)
-            mujoco.mj_setState(self._model, data, self._after, _STATE)
+            acceleration = (data.qvel - qvel) / self._timestep
+            known = self._inverse.add(data, qpos, qvel, acceleration, self._stiffness[m, k], react, turned)
+            if not known:
+                self._difference(qpos, qvel, acceleration, react[:, :NV])
+                turned[:] = 0.0  # is in the differences
 
-    def _differentiate(self, qpos, qvel, react):
-        """Derivatives of r by the state qpos, qvel that a substep began at, into react (37, 74), which has the
-        constraints' part of those by velocity; spoils the simulation's state."""
+    def _difference(self, qpos, qvel, acceleration, out):
+        """Derivatives of r by pose (37, 37), of a substep that began at qpos, qvel."""
         model, data = self._model, self._data
-        acceleration = (data.qvel - qvel) / self._timestep
-        data.qpos[:], data.qvel[:] = qpos, qvel
-        mujoco.mj_implicit(self._implicit, data)
-        _subtract_sparse(model.D_rownnz, model.D_rowadr, model.D_colind, data.qDeriv, react[:, NV:])
+        mujoco.mj_getState(model, data, self._after, _STATE)
         data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, acceleration
-        mujoco.mjd_inverseFD(model, data, _SIZE, True, self._differences, None, None, None, None, None, None)
-        react[:, :NV] = self._differences.T
+        mujoco.mjd_inverseFD(model, data, _DEPTH, True, self._differences, None, None, None, None, None, None)
+        out[:] = self._differences.T
+        mujoco.mj_setState(model, data, self._after, _STATE)
 
     def chain(self, count, by_state):
         """(count, 74, 105 or 31): derivatives of the policy steps of the first `count` states."""
@@ -239,14 +221,15 @@ class _Simulation:
             found[:, :, :TANGENT] = np.eye(TANGENT)
         for k in range(self._substeps):
             mass, constraint = self._mass[:count, k], self._constraint[:count, k]
-            react = self._react[:count, k]  # by halves: small enough that OpenBLAS starts no threads of its own
-            residual = react[:, :, :NV] @ found[:, :NV] + react[:, :, NV:] @ found[:, NV:]
-            residual[:, 6:] -= self._stiffness[:count, k, :, None] * aims
-            # what constraints see is M^-1 (M + h damping) a, the acceleration before damping is made implicit, so that
-            # dr/da = (M + J^T D J) M^-1 (M + h damping)
+            # what constraints see is a' = M^-1 (M + h damping) a, the acceleration before damping is made implicit, so
+            # that dr/da = (M + J^T D J) M^-1 (M + h damping), and a' changes with M by -M^-1 dM (a' - a)
             by_acceleration = mass + constraint
-            lag = self._timestep * self._damping
-            by_acceleration += lag * np.linalg.solve(mass, by_acceleration).transpose(0, 2, 1)
+            through = np.linalg.solve(mass, by_acceleration).transpose(0, 2, 1)  # (M + J^T D J) M^-1
+            by_acceleration += self._timestep * self._damping * through
+            react = self._react[:count, k]  # by halves: small enough that OpenBLAS starts no threads of its own
+            residual = (react[:, :, :NV] - through @ self._turned[:count, k]) @ found[:, :NV]
+            residual += react[:, :, NV:] @ found[:, NV:]
+            residual[:, 6:] -= self._stiffness[:count, k, :, None] * aims
             acceleration = -np.linalg.solve(by_acceleration, residual)
             _advance(self._velocity[:count, k], acceleration, self._timestep, found)
         found[self._lost[:count]] = np.nan
