@@ -219,18 +219,15 @@ class _Simulation:
         found = np.zeros((count, TANGENT, aims.shape[2]))
         if by_state:
             found[:, :, :TANGENT] = np.eye(TANGENT)
+        lag = np.diag(self._timestep * self._damping)
         for k in range(self._substeps):
-            mass, constraint = self._mass[:count, k], self._constraint[:count, k]
-            # what constraints see is a' = M^-1 (M + h damping) a, the acceleration before damping is made implicit, so
-            # that dr/da = (M + J^T D J) M^-1 (M + h damping), and a' changes with M by -M^-1 dM (a' - a)
-            by_acceleration = mass + constraint
-            through = np.linalg.solve(mass, by_acceleration).transpose(0, 2, 1)  # (M + J^T D J) M^-1
-            by_acceleration += self._timestep * self._damping * through
-            react = self._react[:count, k]  # by halves: small enough that OpenBLAS starts no threads of its own
-            residual = (react[:, :, :NV] - through @ self._turned[:count, k]) @ found[:, :NV]
-            residual += react[:, :, NV:] @ found[:, NV:]
-            residual[:, 6:] -= self._stiffness[:count, k, :, None] * aims
-            acceleration = -np.linalg.solve(by_acceleration, residual)
+            # (M + J^T D J) da' = -dr at the same a'; (M + h damping) a = M a', as damping is made implicit
+            mass, react = self._mass[:count, k], self._react[:count, k]
+            damped = np.linalg.inv(mass + lag)
+            answer = damped @ mass @ np.linalg.inv(mass + self._constraint[:count, k])
+            by_pose = damped @ self._turned[:count, k] - answer @ react[:, :, :NV]
+            by_aims = answer[:, :, 6:] * self._stiffness[:count, k, None]
+            acceleration = by_pose @ found[:, :NV] - answer @ react[:, :, NV:] @ found[:, NV:] + by_aims @ aims
             _advance(self._velocity[:count, k], acceleration, self._timestep, found)
         found[self._lost[:count]] = np.nan
         return found
