@@ -1,15 +1,13 @@
 """Descent of what is left to the target, through the physics of a few steps (not in the paper).
 
 PPO learns from one number per episode; the pose that it came to says in all its numbers how to correct. K steps of
-episodes that came near their target are looked at again. What changes of the policy would have changed is told by a
-network, of the last steps before they were nearest (`learner.learned_windows`), or by physics itself, of any steps
-(`learner.simulated_windows`), by what an action does and by what later actions make of it.
+episodes are looked at again: what changes of the policy would have changed is told by derivatives of physics, by what
+an action does and by what later actions make of it (`learner.followed_windows`).
 """
 
 import torch
 
-from learner.learned_windows import LearnedWindows
-from learner.simulated_windows import SimulatedWindows
+from learner.followed_windows import FollowedWindows
 from learner.state import ARRIVALS
 
 
@@ -19,15 +17,9 @@ class Arrival:
     def __init__(self, state, chunk):
         config = state.config.arrival
         self._state, self._windows, self._metrics = state, (), {}
-        if not config.weight:
+        if not config.weight or chunk.windows is None:
             return
-        self._random = state.random(ARRIVALS)
-        if config.physics == "learned":
-            self._windows = LearnedWindows(state, chunk)
-        elif chunk.windows is not None:
-            self._windows = SimulatedWindows(state, chunk)
-        else:
-            return
+        self._random, self._windows = state.random(ARRIVALS), FollowedWindows(state, chunk)
         self._metrics = {"loss/arrival": 0.0, "gradient/arrival": 0.0, **self._windows.metrics}
 
     @property
@@ -41,8 +33,8 @@ class Arrival:
         return 1.0 / (1.0 + self._state.config.arrival.weight) if self.descends else 1.0
 
     def inputs(self):
-        """The policy's inputs in windows that are not of the chunk's own steps: [(n, 282)] or []."""
-        return [self._windows.inputs()] if isinstance(self._windows, SimulatedWindows) else []
+        """The policy's inputs in the windows: [(n, 282)] or []."""
+        return [self._windows.inputs()] if self._windows else []
 
     def gradient(self):
         """(gradient in the order of the policy's parameters, clipped as PPO's, or None; metrics) of a few windows."""

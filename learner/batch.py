@@ -91,7 +91,6 @@ def concatenate_chunks(chunks):
         environment=np.concatenate([chunk.environment for chunk in chunks]),
         last_observation=np.concatenate([chunk.last_observation for chunk in chunks]),
         final_observation=np.concatenate([chunk.final_observation for chunk in chunks])[order],
-        final_thresholds=np.concatenate([chunk.final_thresholds for chunk in chunks])[order],
         outcomes=concatenate_outcomes(outcomes),
         version=chunks[0].version,
         windows=concatenate_windows([chunk.windows for chunk in chunks]) if chunks[0].windows is not None else None,
@@ -103,13 +102,6 @@ def concatenate_chunks(chunks):
             )  # fmt: skip
         },
     )
-
-
-def following(chunk):
-    """(T, N, 282), the s_t+1 that every step of a chunk led to, before any reset."""
-    after = np.concatenate([chunk.observation[1:], chunk.last_observation[None]])
-    after[np.nonzero(chunk.end)] = chunk.final_observation  # in the order of nonzero
-    return after
 
 
 def targets(state, chunk, inputs):

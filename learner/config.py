@@ -60,8 +60,8 @@ class PPOConfig:
     kfac_after: int = 0
     """kfac: so many updates with Adam come first."""
     policy_after: int = 0
-    """So many updates at the beginning leave the policy as it is, while the value network (and learned physics or the
-    cost-to-go) learns: for a run that begins with a policy alone (`start.checkpoint`)."""
+    """So many updates at the beginning leave the policy as it is, while the value network (and the cost-to-go) learns:
+    for a run that begins with a policy alone (`start.checkpoint`)."""
     damping: float = 0.03
     """kfac: added to the factors' diagonals, in units of the mean of their eigenvalues."""
     natural_rate: float = 0.1

@@ -32,7 +32,7 @@ class Demonstrator:
         state, config = self._state, self._state.config.sbc
         inputs, action, weight = self._draw()
         loss = sbc.sbc_loss(state.policy(inputs), action, weight, config)
-        norm = state.descend("policy", loss, share=share)
+        norm = state.descend("policy", loss, share)
         return {"loss/sbc": loss.detach(), "gradient/sbc": norm}
 
     def _draw(self):

@@ -2,7 +2,6 @@
 
 import torch
 
-from learner.rotations import matrices
 from motion import skeleton
 from workers.observation import JOINT_AXES, KEY_PLACES, POSE_SIZE
 
@@ -13,13 +12,6 @@ def split(observation, difference):
     if difference:
         target = torch.cat([target[:, :3], target[:, 3:] + pose[:, 1:]], dim=1)
     return pose, target
-
-
-def join(pose, target, difference):
-    """The inverse of `split`."""
-    if difference:
-        target = torch.cat([target[:, :3], target[:, 3:] - pose[:, 1:]], dim=1)
-    return torch.cat([pose, target], dim=1)
 
 
 def deviations(pose, target):
@@ -48,7 +40,7 @@ def _keys(pose, target):
 def _joints(pose, target):
     """(B, 13, 3): exponential maps of the joints' rotations from their targets'."""
     own, wanted = (
-        matrices(part[:, JOINT_AXES].reshape(len(pose), skeleton.NUM_JOINTS, 6)) for part in (pose, target[:, 2:])
+        _matrices(part[:, JOINT_AXES].reshape(len(pose), skeleton.NUM_JOINTS, 6)) for part in (pose, target[:, 2:])
     )  # fmt: skip
     turn = wanted.transpose(-1, -2) @ own
     axis = torch.stack(
@@ -57,6 +49,12 @@ def _joints(pose, target):
     sine = (axis.norm(dim=-1) / 2).clamp(min=1e-6)
     angle = torch.atan2(sine, (turn.diagonal(dim1=-2, dim2=-1).sum(dim=-1) - 1) / 2)
     return axis / 2 * (angle / sine)[..., None]
+
+
+def _matrices(axes):
+    """Rotation matrices (..., 3, 3) of their x and z axes (..., 6)."""
+    x, z = axes[..., :3], axes[..., 3:]
+    return torch.stack([x, torch.linalg.cross(z, x), z], dim=-1)
 
 
 def _weights(like):

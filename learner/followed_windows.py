@@ -18,7 +18,7 @@ HARDEST = 3.0  # pull of a window, in units of the median one's
 LEAST_FORESEEN = 0.5  # share of the variance of what trials cost; with less a cost-to-go says nothing yet
 
 
-class SimulatedWindows:
+class FollowedWindows:
     """The `workers.types.Windows` of a chunk for a `LearnerState`, whose cost-to-go learns from the chunk's `Trials`.
     None of them as long as that foresees too little.
 

@@ -7,14 +7,13 @@ import numpy as np
 import torch
 
 from learner.cost_to_go import CostToGo
-from learner.dynamics import Dynamics
 from learner.kfac import KFAC
 from learner.networks import build_networks, snapshot
 from learner.normalizer import Normalizer
 from workers.observation import OBSERVATION_SIZE
 
-# Streams of the learner's random numbers
-SHUFFLE, DEMONSTRATIONS, PHYSICS, ARRIVALS, FORESIGHT = range(5)
+# Streams of the learner's random numbers; a number that is gone is not given again, so that runs keep theirs
+SHUFFLE, DEMONSTRATIONS, ARRIVALS, FORESIGHT = 0, 1, 3, 4
 
 
 class LearnerState:
@@ -33,11 +32,9 @@ class LearnerState:
         self.value_optimizer = torch.optim.Adam(self.value.parameters(), lr=config.ppo.learning_rate, fused=True)
         self.observations = Normalizer(OBSERVATION_SIZE, config.ppo.normalize_observations, device)
         self.returns = Normalizer(1, config.ppo.normalize_values, device)
-        self.dynamics = self.cost_to_go = None
-        arrival, generator = config.arrival, torch.Generator().manual_seed(seed)
-        if arrival.weight and arrival.physics == "learned":
-            self.dynamics = Dynamics(arrival.hidden, config, generator, device)
-        elif arrival.weight:
+        self.cost_to_go, arrival = None, config.arrival
+        if arrival.weight:
+            generator = torch.Generator().manual_seed(seed)
             self.cost_to_go = CostToGo(arrival.hidden, arrival.discount, generator, device)
         self.updates = self.skipped = 0
 
@@ -64,23 +61,21 @@ class LearnerState:
             self.learning_rate = config.learning_rate
             self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=self.learning_rate, fused=True)
 
-    def descend(self, name, loss, added=None, share=1.0):
+    def descend(self, name, loss, share=1.0, added=None):
         """One step of the network `policy` or `value` down the gradient of a loss, clipped; its norm before that.
 
-        share: factor on the clipped gradient. added: another gradient, in the order of the network's parameters,
-        clipped as well; the step is down the mean of both, in which it has `arrival.weight` times the weight: one that
-        joins later makes no step longer.
+        share: the clipped gradient's in a mean with another, `added`, in the order of the network's parameters and
+        clipped as well (None: zero), so that one that joins later makes no step longer.
         """
         network, optimizer = getattr(self, name), getattr(self, f"{name}_optimizer")
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(network.parameters(), self.config.ppo.max_grad_norm)
-        weight = self.config.arrival.weight
-        for parameter, gradient in zip(network.parameters(), added or ()):
-            parameter.grad.add_(gradient, alpha=weight).div_(1.0 + weight)
         if share != 1.0:
             for parameter in network.parameters():
                 parameter.grad.mul_(share)
+        for parameter, gradient in zip(network.parameters(), added or ()):
+            parameter.grad.add_(gradient, alpha=1.0 - share)
         optimizer.step()
         return norm
 
@@ -114,7 +109,7 @@ class LearnerState:
     def state_dict(self):
         """Plain tensors and numbers for a checkpoint; shares memory with the networks."""
         parts = {name: getattr(self, name).state_dict() for name in self._PARTS}
-        for name in ("average", "dynamics", "cost_to_go"):
+        for name in ("average", "cost_to_go"):
             parts[name] = getattr(self, name) and getattr(self, name).state_dict()
         numbers = {name: getattr(self, name) for name in self._NUMBERS}
         return {**parts, **numbers}
@@ -126,9 +121,8 @@ class LearnerState:
             getattr(self, name).load_state_dict(state[name])
         if self.average:
             self.average.load_state_dict(state["average"] or state["policy"])
-        for name in ("dynamics", "cost_to_go"):
-            if getattr(self, name) and state.get(name):  # not of a learner without
-                getattr(self, name).load_state_dict(state[name])
+        if self.cost_to_go and state.get("cost_to_go"):  # not of a learner without
+            self.cost_to_go.load_state_dict(state["cost_to_go"])
         for name in self._NUMBERS:
             setattr(self, name, state[name])
 
@@ -139,9 +133,8 @@ class LearnerState:
     def is_finite(self):
         """Whether every parameter and every normalizer's number is."""
         tensors = [*self.policy.parameters(), *self.value.parameters()]
-        for part in (self.dynamics, self.cost_to_go):
-            if part:
-                tensors += part.network.parameters()
+        if self.cost_to_go:
+            tensors += self.cost_to_go.network.parameters()
         for normalizer in (self.observations, self.returns):
             tensors += [normalizer.mean, normalizer.squares]
         return bool(torch.stack([torch.isfinite(tensor).all() for tensor in tensors]).all())

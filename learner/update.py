@@ -116,7 +116,7 @@ def _improve(state, batch, arrival, rows):
         batch.advantage[rows], batch.sigma[rows], state.config.ppo.clip_range(state.updates),
     )  # fmt: skip
     added, record = arrival.gradient()
-    norm = state.descend("policy", loss, added)
+    norm = state.descend("policy", loss, arrival.rest, added)
     return {
         "loss/policy": loss.detach(), "policy/kl": divergence, "policy/clipped": clipped, "gradient/policy": norm,
         **record,

@@ -15,7 +15,7 @@ from workers.types import Policy, Thresholds, WorkerState
 _ONCE = {
     "observation.target": "absolute", "network.value_hidden": None, "policy.independent_from": None,
     "task.training_steps": None, "ppo.natural_epochs": None, "physics.sole": 0.0, "arrival.weight": 0.0,
-    "ppo.first_updates": 0, "arrival.physics": "learned", "ppo.policy_after": 0,
+    "ppo.first_updates": 0, "ppo.policy_after": 0,
 }  # fmt: skip
 
 

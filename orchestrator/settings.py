@@ -1,9 +1,10 @@
 """Build the `Config` of a run from files and command lines, and keep it in a run's folder.
 
-Order, later wins: defaults of the dataclasses, configs/scale/SCALE.yaml, configs/motions/MOTIONS.yaml, then the layers
-in the order given (a sweep's base, its row, the command line). `scale=` and `motions=` choose the two files, the last
-layer that names them wins, and both files are applied before every other key wherever the two stand. A layer that sets
-a key of `budget` replaces the budget of the layers below it: budget.iterations=5 is not cut short by a scale's samples.
+Order, later wins: defaults of the dataclasses, configs/scale/SCALE.yaml (after the scale that it names itself, if any),
+configs/motions/MOTIONS.yaml, then the layers in the order given (a sweep's base, its row, the command line). `scale=`
+and `motions=` choose the two files, the last layer that names them wins, and both files are applied before every other
+key wherever the two stand. A layer that sets a key of `budget` replaces the budget of the layers below it:
+budget.iterations=5 is not cut short by a scale's samples.
 
     python -m orchestrator.settings          print every key with its default and meaning
 """
@@ -25,7 +26,8 @@ from orchestrator.keys import all_keys, find_key, keys_of, suggestion
 from orchestrator.validate import check_values, shown
 
 FILE_KEYS = ("scale", "motions")
-REMOVED_KEYS = ("evaluation.robustness_log_sigmas",)  # runs of older versions have them in their config.yaml
+# runs of older versions have them in their config.yaml
+REMOVED_KEYS = ("evaluation.robustness_log_sigmas", "arrival.physics", "arrival.correction")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,16 +91,28 @@ def build(layers):
         entries = [(key, value, layer.origin) for key, value in flatten(layer.values)]
         files |= {key: (value, origin) for key, value, origin in entries if key in FILE_KEYS}
         stack.append([entry for entry in entries if entry[0] not in FILE_KEYS])
-    from_files = []
-    for kind, prefix in (("scale", ""), ("motions", "motions.")):
-        path = choose(kind, *files[kind])
-        content = read_yaml(path, f"{kind} file")
-        from_files.append([(key, value, shown_path(path)) for key, value in flatten(content, prefix)])
+    path = choose("motions", *files["motions"])
+    motions = flatten(read_yaml(path, "motions file"), "motions.")
+    from_files = [*scales(*files["scale"]), [(key, value, shown_path(path)) for key, value in motions]]
     entries = stacked([*from_files, [("scale", *files["scale"])], *stack])
     result = to_config(nested(entries), "configuration")
     origins = {key: origin for key, _, origin in entries}
     check_values(result, lambda key: origins.get(key, "default"))
     return absolute_paths(result)
+
+
+def scales(name, origin):
+    """Entries (key, value, origin) of a scale's file, after those of the scale that it names as its own `scale`."""
+    layers, seen = [], []
+    while name is not None:
+        path = choose("scale", name, origin)
+        if path in seen:
+            raise InputError(f"{origin}: scale={name} is on itself: take that line out")
+        seen.append(path)
+        content, origin = read_yaml(path, "scale file"), shown_path(path)
+        name = content.pop("scale", None)
+        layers.insert(0, [(key, value, origin) for key, value in flatten(content)])
+    return layers
 
 
 def stacked(layers):

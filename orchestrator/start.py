@@ -45,8 +45,7 @@ def _read(config):
             f"with Segue ({', '.join(shipped_policies())})"
         )
     meaning, learner = _MEANING, source["parts"][0]
-    part = {"learned": "dynamics", "simulated": "cost_to_go"}[config.arrival.physics]
-    if config.arrival.weight and learner and learner.get(part):  # that network goes on, too
+    if config.arrival.weight and learner and learner.get("cost_to_go"):  # that network goes on, too
         meaning += ("arrival.hidden",)
     other = disagreement(
         source["config"], saved.numbers_of(config),

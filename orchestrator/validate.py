@@ -99,7 +99,6 @@ RULES = {
     "sbc.batch_size": at_least(0),
     "sbc.reduction": choice("sum", "mean"),
     "arrival.weight": at_least(0),
-    "arrival.physics": choice("learned", "simulated"),
     "arrival.after": at_least(0),
     "arrival.share": PROBABILITY,
     "arrival.windows": at_least(1),
@@ -198,21 +197,15 @@ def check_relations(config, source):
             f"{source('task.focus')}: task.focus={config.task.focus} needs judging environments, whose tasks stay "
             "uniform and move the curriculum: set policy.judges, e.g. policy.judges=8"
         )
-    simulated = config.arrival.physics == "simulated"
-    if config.arrival.weight and simulated and not config.physics.sole:
+    if config.arrival.weight and not config.physics.sole:
         raise InputError(
-            f"{source('arrival.physics')}: arrival.physics=simulated differentiates the ground's contact, which hard "
-            "feet make and break at once: set physics.sole, e.g. physics.sole=0.02, or arrival.weight=0"
+            f"{source('arrival.weight')}: arrival.weight={config.arrival.weight} differentiates the ground's contact, "
+            "which hard feet make and break at once: set physics.sole, e.g. physics.sole=0.02, or arrival.weight=0"
         )
-    if config.arrival.weight and simulated and config.arrival.steps > config.task.time_limit:
+    if config.arrival.weight and config.arrival.steps > config.task.time_limit:
         raise InputError(
             f"{source('arrival.steps')}: arrival.steps={config.arrival.steps} is more than an episode's "
             f"{config.task.time_limit} steps (task.training_steps, task.max_steps): lower it"
-        )
-    if config.arrival.weight and not simulated and config.arrival.steps > config.horizon:
-        raise InputError(
-            f"{source('arrival.steps')}: arrival.steps={config.arrival.steps} is more than horizon={config.horizon}, "
-            "so that no chunk holds as many steps of an episode: lower it"
         )
     if config.arrival.weight and config.reward.key_body_frame != "common":
         raise InputError(

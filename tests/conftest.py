@@ -283,7 +283,6 @@ def columns():
             environment=chunk.environment[where],
             last_observation=chunk.last_observation[where],
             final_observation=chunk.final_observation[ended],
-            final_thresholds=chunk.final_thresholds[ended],
             outcomes=chunk.outcomes.take(np.flatnonzero(ended)),
             **over_time,
         )

@@ -122,43 +122,38 @@ class PhysicsConfig:
 
 @dataclass
 class ArrivalConfig:
-    """Descent of what is left to the target, through the physics of a few steps (`learner/arrival.py`; not in the
-    paper)."""
+    """Descent of what is left to the target, through derivatives of physics along a few steps of episodes played for it
+    (`learner/arrival.py`; not in the paper). A step's take as long as some 11 simulated ones."""
 
     weight: float = 0.0
     """Of its gradient, clipped as PPO's is, in the mean with that. 0, the paper: none."""
-    physics: str = "learned"
-    """Whose derivatives: `learned`, a network's that learns from the chunks; `simulated`, those of physics itself
-    (`workers/derivatives.py`), which take as long as some 30 simulated steps for each step of a window."""
     after: int = 0
-    """simulated: updates before the first episodes are played for it: PPO, whose chunks are far cheaper, goes ahead."""
+    """Updates before the first episodes are played for it: PPO, whose chunks are far cheaper, goes ahead."""
     share: float = 0.3
-    """simulated: share of the environments beside which an episode is played for it in every chunk."""
+    """Share of the environments beside which an episode is played for it in every chunk."""
     windows: int = 1
-    """simulated: windows of each such episode; where each ends is drawn on its own."""
+    """Windows of each such episode; where each ends is drawn on its own."""
     lead: int = 5
-    """simulated: what is left is measured by the thresholds of so many tightenings on, which is where the root's place
+    """What is left is measured by the thresholds of so many tightenings on, which is where the root's place
     counts as much as the joints."""
     noise: float = 0.5
-    """simulated: deviation of the noise under which the policy is followed through what the derivatives say, in units
+    """Deviation of the noise under which the policy is followed through what the derivatives say, in units
     of the evaluation's. Physics is linear at 0.3 (correlation 0.84 over eight steps), much less so at 1 (0.53)."""
     draws: int = 4
-    """simulated: draws of that noise for each episode and step of the policy."""
+    """Draws of that noise for each episode and step of the policy."""
     steps: int = 5
-    """K, how many steps are followed again. learned: those before the nearest approach; episodes with fewer in a chunk
-    are left out. simulated: up to any step of an episode, all steps of what is shorter."""
+    """K, how many steps are followed again, up to any of an episode; all steps of what is shorter."""
     discount: float = 0.93
-    """simulated: of what is left after each further step; after the last of a window a network foresees the rest."""
+    """Of what is left after each further step; after the last of a window a network foresees the rest."""
     batch_size: int = 64
-    """Episodes per step of the policy, at most."""
+    """Windows per step of the policy."""
     target_kl: float | None = None
     """The KL divergence that an update beside windows aims at instead of `ppo.target_kl`, under the evaluation's noise,
     whatever exploration's is. None: as PPO's."""
     final_kl: float | None = None
     """`target_kl` goes to this as `ppo.target_kl` to `ppo.final_kl`. None: it stays."""
     hidden: list[int] = field(default_factory=lambda: [512, 512])
-    """Units of the hidden layers of the network (SiLU) that learns physics (learned) or what is left later
-    (simulated)."""
+    """Units of the hidden layers of the network (SiLU) that foresees what is left later."""
 
 
 @dataclass

@@ -68,7 +68,8 @@ def smooth(gravity, cdof, cdof_dot, cinert, qvel, seen, late, by_pose, by_veloci
     for i in range(NV):
         momentum(inertia[BODY[i]], cdof[i], felt[i])
         for c in range(6):
-            dragged[i] += cdof[i, c] * drag[BODY[i], c]
+            for d in range(6):  # without temporary arrays
+                dragged[i, d] += cdof[i, c] * drag[BODY[i], c, d]
     moved, shifted, lagged, sped = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     by_turn, by_speed, by_lag = np.empty(6), np.empty(6), np.empty(6)
     for j in range(NV):

@@ -17,7 +17,7 @@ class Rollout:
         """config: `EnvConfig`; library: `MotionLibrary`; seed: of the run."""
         self._environment = Environment(config, library, num_envs, threads)
         self._horizon, self._seed, self._scouts = horizon, seed, None
-        if config.arrival.weight and config.arrival.physics == "simulated":
+        if config.arrival.weight:
             self._scouts = Scouts(config, library, num_envs, seed, threads)
 
     def initial_state(self, first):
@@ -55,7 +55,6 @@ class Rollout:
         next_pose = np.empty_like(pose)
         everybody, nobody = np.arange(n), np.zeros(0, dtype=np.int64)
         final, ended = [env.observe(new_observations(0), nobody)], [outcomes(env, clock, index, nobody, thresholds)]
-        limits = [np.empty((0, 3))]
         for t in range(horizon):
             env.observe(observation[t])
             mean[t] = network.mean(observation[t])
@@ -75,7 +74,6 @@ class Rollout:
             if len(ids):
                 final.append(env.observe(new_observations(len(ids)), ids))
                 ended.append(outcomes(env, clock, index, ids, thresholds))
-                limits.append(thresholds.of(env.groups(thresholds, ids))[:, :3])
                 env.plan(self._seed, index, episode, ids, focus, thresholds.shares)
                 env.begin(ids)
         windows = trials = None
@@ -90,7 +88,6 @@ class Rollout:
             end=end,
             last_observation=env.observe(new_observations(n)),
             final_observation=np.concatenate(final),
-            final_thresholds=np.concatenate(limits),
             pose=pose,
             next_pose=next_pose,
             pd_target=pd_target,

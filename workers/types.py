@@ -261,13 +261,12 @@ class Chunk:
     end: (T, N) int8, CONTINUES, REACHED, FELL or TIMED_OUT after this step.
     last_observation: (N, 282), s_T of the running episodes (after a reset where one ended at the last step).
     final_observation: (E, 282), the observation that each ended episode ended in, in the order of `outcomes`.
-    final_thresholds: (E, 3) float64, d^rp, d^kp and d^q that judged the last step of each, in the same order.
     pose: (T, N, 84), qpos and qvel before the step. next_pose: (T, N, 84), after it, before any reset.
     pd_target: (T, N, 31), joint coordinates that the step's PD controllers aimed at.
     outcomes: the episodes that ended.
     version: version of the policy that acted.
     log_sigma: (T, N) float64, log standard deviation of its actions; not that of judges.
-    windows, trials: with `arrival.physics=simulated`, after `arrival.after` updates; else None.
+    windows, trials: with `arrival.weight`, after `arrival.after` updates; else None.
     """
 
     environment: np.ndarray
@@ -278,7 +277,6 @@ class Chunk:
     end: np.ndarray
     last_observation: np.ndarray
     final_observation: np.ndarray
-    final_thresholds: np.ndarray
     pose: np.ndarray
     next_pose: np.ndarray
     pd_target: np.ndarray

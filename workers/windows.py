@@ -1,6 +1,6 @@
 """Episodes played beside a chunk for the descent at arrival, with derivatives of physics along a few steps of each.
 
-What `arrival.physics=simulated` learns from (`learner.simulated_windows`). Their tasks are drawn as training's are;
+What `arrival.weight` learns from (`learner.followed_windows`). Their tasks are drawn as training's are;
 they act as in the evaluation, with its noise, and go on past their arrival, so that they show whether the figure stays;
 their windows are played again, the last steps without noise. Nobody else knows of them. A function of (policy,
 thresholds, seed, environments, clock) and of nothing before: there is no state to keep.

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from learner import ppo, simulated_windows
+from learner import followed_windows, ppo
 from learner.arrival import Arrival
 from learner.encoding import residuals, split
-from learner.simulated_windows import SimulatedWindows
+from learner.followed_windows import FollowedWindows
 from learner.state import LearnerState
 from learner.update import update
 from workers import windows
@@ -22,7 +22,7 @@ from workers.types import Thresholds
 
 STEPS, N = 5, 32
 ON = {
-    "task.max_steps": 8, "physics.sole": 0.02, "arrival.weight": 1.0, "arrival.physics": "simulated",
+    "task.max_steps": 8, "physics.sole": 0.02, "arrival.weight": 1.0,
     "arrival.steps": STEPS, "arrival.share": 1.0, "arrival.batch_size": 16, "policy.log_sigma": -3.0,
     "observation.target": "difference",
 }  # fmt: skip
@@ -32,7 +32,7 @@ ON = {
 def any_foresight():
     """Windows are descended however little is foreseen yet."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulated_windows, "LEAST_FORESEEN", -np.inf)
+        patch.setattr(followed_windows, "LEAST_FORESEEN", -np.inf)
         yield
 
 
@@ -112,7 +112,7 @@ def test_what_the_actions_do_is_what_they_do_when_played(lesson, library):
     """Every action, through the policy's outputs at later steps."""
     config, chunk, _ = lesson
     state, generator = LearnerState(config, 1), np.random.default_rng(0)
-    found = SimulatedWindows(state, chunk)
+    found = FollowedWindows(state, chunk)
     _, rest = played(lesson, library, state.policy)
     np.testing.assert_allclose(followed(found, np.zeros((len(rest), STEPS, 31))), rest, atol=5e-3)
     for _ in range(3):
@@ -131,7 +131,7 @@ def test_what_is_seen_is_that_of_slow_obvious_code(lesson):
     config, chunk, _ = lesson
     state, generator, found = LearnerState(config, 1), np.random.default_rng(0), chunk.windows
     chosen, changes = [4, 0, 4], generator.normal(0.0, 0.01, (3, 2, STEPS, 31)).astype(np.float32)
-    ready = SimulatedWindows(state, chunk)
+    ready = FollowedWindows(state, chunk)
     with torch.no_grad():
         quick = ready.follow(torch.as_tensor(chosen), torch.as_tensor(changes)).numpy()
     for row, window in enumerate(chosen):
@@ -170,7 +170,7 @@ def test_its_loss_is_what_is_left_under_noise_after_every_step_and_later(lesson)
     config, chunk, _ = lesson
     state, chosen = LearnerState(config, 1), np.array([3, 0, int(chunk.windows.begin.argmax())])
     assert chunk.windows.begin.max() > 0
-    found, noise = SimulatedWindows(state, chunk), drawn_noise(config, 3)
+    found, noise = FollowedWindows(state, chunk), drawn_noise(config, 3)
     loss = found.loss(chosen, np.random.default_rng(7)).item()
     with torch.no_grad():
         seen = found.follow(torch.as_tensor(chosen), noise)
@@ -179,7 +179,7 @@ def test_its_loss_is_what_is_left_under_noise_after_every_step_and_later(lesson)
     quiet = copy.deepcopy(config)
     quiet.arrival.noise = 0.0
     state = LearnerState(quiet, 1)
-    found = SimulatedWindows(state, chunk)
+    found = FollowedWindows(state, chunk)
     rest = torch.as_tensor(followed(found, np.zeros((len(chunk.windows), STEPS, 31))))
     with torch.no_grad():
         expected = np.mean([costs(state, chunk.windows, m, rest[m]) for m in chosen])
@@ -188,10 +188,10 @@ def test_its_loss_is_what_is_left_under_noise_after_every_step_and_later(lesson)
 
 def test_no_window_pulls_much_harder_than_the_median_one(lesson, monkeypatch):
     """The gradient, from each window's own, of its costs by the parameters and by the outputs of its steps."""
-    monkeypatch.setattr(simulated_windows, "HARDEST", 1.1)
+    monkeypatch.setattr(followed_windows, "HARDEST", 1.1)
     config, chunk, _ = lesson
     chosen, state, noise = [3, 0, 5, 9, 4], LearnerState(config, 1), drawn_noise(config, 5)
-    found, parameters, own = SimulatedWindows(state, chunk), list(state.policy.parameters()), []
+    found, parameters, own = FollowedWindows(state, chunk), list(state.policy.parameters()), []
     for row, m in enumerate(chosen):
         changes = noise[[row]].requires_grad_()
         seen = found.follow(torch.as_tensor([m]), changes)[0]
@@ -213,14 +213,14 @@ def test_a_policy_that_has_moved_since_is_followed_to_where_it_would_come(lesson
         for parameter in state.policy.parameters():
             parameter += 2e-3 * parameter.abs().mean() * torch.randn(parameter.shape, generator=generator)
     still = np.zeros((len(chunk.windows), STEPS, 31))
-    moved, stale = (followed(SimulatedWindows(learner, chunk), still) for learner in (state, LearnerState(config, 1)))
+    moved, stale = (followed(FollowedWindows(learner, chunk), still) for learner in (state, LearnerState(config, 1)))
     _, true = played(lesson, library, state.policy)
     moved, stale, true = (left_of(chunk, seen) for seen in (moved, stale, true))
     assert np.linalg.norm(moved - true) < 0.5 * np.linalg.norm(stale - true)
 
 
 @pytest.mark.parametrize("optimizer", ("adam", "kfac"))
-def test_an_update_with_it_is_pure_and_needs_no_learned_physics(optimizer, lesson, make_config, assert_same_bits):
+def test_an_update_with_it_is_pure(optimizer, lesson, make_config, assert_same_bits):
     _, chunk, _ = lesson
     state = LearnerState(make_config({**ON, "ppo.optimizer": optimizer}), 1)
     before = copy.deepcopy(state.state_dict())
@@ -228,7 +228,7 @@ def test_an_update_with_it_is_pure_and_needs_no_learned_physics(optimizer, lesso
     assert_same_bits(state.state_dict(), before)
     assert_same_bits(first[0].state_dict(), second[0].state_dict())
     assert_same_bits(first[1], second[1])
-    assert state.dynamics is None and first[1]["gradient/arrival"] > 0 and "loss/dynamics" not in first[1]
+    assert first[1]["gradient/arrival"] > 0
     assert first[1]["arrival/left"] > 0
 
 
@@ -238,7 +238,7 @@ def test_steps_down_its_gradient_bring_the_figure_nearer_under_noise(lesson, lib
     sigma = np.exp(config.policy.judge_log_sigma) / config.action.scale
     noise = generator.normal(0.0, sigma, (4, len(chunk.windows), STEPS, 31)).astype(np.float32)
 
-    found = SimulatedWindows(state, chunk)
+    found = FollowedWindows(state, chunk)
     with torch.no_grad():
         for parameter in state.cost_to_go.network.parameters():
             parameter.zero_()  # so that all that is descended can be played
@@ -257,7 +257,7 @@ def test_steps_down_its_gradient_bring_the_figure_nearer_under_noise(lesson, lib
 
 
 def test_nothing_is_descended_until_much_is_foreseen_but_the_foresight_learns(lesson, monkeypatch):
-    monkeypatch.setattr(simulated_windows, "LEAST_FORESEEN", 0.99)
+    monkeypatch.setattr(followed_windows, "LEAST_FORESEEN", 0.99)
     config, chunk, _ = lesson
     state = LearnerState(config, 1)
     after, metrics = update(state, [chunk])
@@ -270,17 +270,18 @@ def test_nothing_is_descended_until_much_is_foreseen_but_the_foresight_learns(le
 def test_steps_of_sbc_are_as_much_shorter_as_ppos_gradient(lesson, make_config, monkeypatch, weight, descended, share):
     config, chunk = make_config({**ON, "arrival.weight": weight}), lesson[1]
     if not descended:
-        monkeypatch.setattr(simulated_windows, "LEAST_FORESEEN", np.inf)
+        monkeypatch.setattr(followed_windows, "LEAST_FORESEEN", np.inf)
     shares, descend = [], LearnerState.descend
 
-    def watched(state, name, loss, added=None, share=1.0):
+    def watched(state, name, loss, share=1.0, added=None):
         if name == "policy":
-            shares.append(share)
-        return descend(state, name, loss, added, share)
+            shares.append((share, added is not None))
+        return descend(state, name, loss, share, added)
 
     monkeypatch.setattr(LearnerState, "descend", watched)
     update(LearnerState(config, 1), [chunk])
-    assert set(shares[::2]) == {share} and set(shares[1::2]) == {1.0}  # one step of SBC, then one of PPO
+    # one step of SBC, then one of PPO, to which the windows' gradient joins
+    assert set(shares[::2]) == {(share, False)} and set(shares[1::2]) == {(share, share < 1.0)}
 
 
 @pytest.mark.parametrize(("own", "descended"), ((True, True), (True, False), (False, True)))
@@ -291,7 +292,7 @@ def test_beside_windows_the_divergence_may_have_an_aim_of_its_own_under_the_eval
     plain, seen = {**ON, "ppo.target_kl": 0.5, "ppo.final_kl": 0.1, "ppo.kl_updates": 10}, []
     config = make_config({**plain, "arrival.target_kl": 2.0, "arrival.final_kl": 1.0} if own else plain)
     if not descended:
-        monkeypatch.setattr(simulated_windows, "LEAST_FORESEEN", np.inf)
+        monkeypatch.setattr(followed_windows, "LEAST_FORESEEN", np.inf)
     monkeypatch.setattr(ppo, "adapt_learning_rate", lambda rate, *told: seen.append(told) or rate)
     state = LearnerState(config, 1)
     state.updates = 5

@@ -423,7 +423,7 @@ def toy_chunk(policy, seed):
         environment=np.arange(n), observation=observation, action=action, mean=mean,
         reward=-((action - 0.3) ** 2).mean(axis=-1).astype(np.float32), end=np.full((steps, n), REACHED, dtype=np.int8),
         last_observation=observation[0], final_observation=observation.reshape(-1, 282),
-        final_thresholds=np.ones((steps * n, 3)), pose=still, next_pose=still,
+        pose=still, next_pose=still,
         pd_target=np.zeros_like(action), outcomes=nobody, version=policy.version,
         log_sigma=np.full((steps, n), policy.log_sigma),
     )  # fmt: skip

@@ -8,7 +8,7 @@ import ray
 from ray import exceptions
 from training import Killed, killed_after, lines
 
-from learner import checkpoint, learner, simulated_windows
+from learner import checkpoint, followed_windows, learner
 from orchestrator import run
 from orchestrator.run import Stopped, load_latest, train
 from orchestrator.runtime import FAULTS, LocalRuntime, is_fault, shares
@@ -89,8 +89,8 @@ def test_the_number_of_workers_changes_no_number(workers, finished, configure, t
 def test_derivatives_are_the_same_whoever_simulates_them_and_after_a_crash(
     configure, tmp_path, monkeypatch, assert_same_bits
 ):
-    monkeypatch.setattr(simulated_windows, "LEAST_FORESEEN", float("-inf"))  # three iterations foresee nothing yet
-    simulated = {"arrival.physics": "simulated", "arrival.share": 1.0, "physics.sole": 0.02, "budget.iterations": 3}
+    monkeypatch.setattr(followed_windows, "LEAST_FORESEEN", float("-inf"))  # three iterations foresee nothing yet
+    simulated = {"arrival.weight": 1.0, "arrival.share": 1.0, "physics.sole": 0.02, "budget.iterations": 3}
     train(configure(**simulated), tmp_path / "one")
     assert max(row["gradient/arrival"] for row in lines(tmp_path / "one")) > 0
     with pytest.raises(Killed):

@@ -31,6 +31,28 @@ def test_scale_file_lies_over_defaults_and_under_overrides():
     assert of("num_envs=5", "scale=smoke").num_envs == 5
 
 
+def test_a_scale_may_be_on_another(tmp_path, monkeypatch):
+    """Its own keys win; its budget replaces the other's; `precise` is on `laptop`."""
+    (tmp_path / "scale").mkdir()
+    (tmp_path / "motions").symlink_to(settings.config_folder() / "motions")
+    for name, text in {
+        "low": "num_envs: 3\nhorizon: 4\nbudget: {samples: 100}",
+        "high": "scale: low\nhorizon: 5\nbudget: {iterations: 7}",
+        "round": "scale: trip",
+        "trip": "scale: round",
+        "lost": "scale: lo",
+    }.items():
+        (tmp_path / "scale" / f"{name}.yaml").write_text(text)
+    laptop, precise = of("scale=laptop"), of("scale=precise")
+    assert precise.action == laptop.action and precise.network.hidden != laptop.network.hidden
+    monkeypatch.setattr(settings, "config_folder", lambda: tmp_path)
+    found = of("scale=high")
+    assert (found.scale, found.num_envs, found.horizon) == ("high", 3, 5)
+    assert (found.budget.samples, found.budget.iterations) == (None, 7)
+    assert "on itself" in error_of("scale=round")
+    assert "lost.yaml: scale=lo is not known" in error_of("scale=lost") and "'low'" in error_of("scale=lost")
+
+
 def test_layers_win_in_order_and_the_last_scale_counts():
     base = Layer({"scale": "laptop", "ppo.clip": 0.3, "sbc.enabled": True}, "base")
     row = Layer({"sbc": {"enabled": False}}, "row")
@@ -79,7 +101,7 @@ def test_a_budget_replaces_the_one_below():
         ("scael=smoke", ["did you mean 'scale'"]),
         ("motions.clips.idle.lopping=true", ["did you mean 'motions.clips.NAME.looping'"]),
         ("sbc=false", ["sbc is a group of keys", "sbc.enabled"]),
-        ("scale=lap", ["scale=lap", "demo, laptop, paper, smoke"]),
+        ("scale=lap", ["scale=lap", "demo, laptop, paper, precise, smoke"]),
         ("motions=bultin", ["motions=bultin", "did you mean 'builtin'"]),
         ("motions=no/such.yaml", ["no/such.yaml", "no such file"]),
         ("num_envs=many", ["num_envs=many", "an integer"]),
@@ -180,16 +202,12 @@ def test_suggestions():
 @pytest.mark.parametrize(
     "values, words",
     [
-        (["arrival.steps=17", "horizon=16"], "arrival.steps=17 is more than horizon=16.*lower it"),
-        (["arrival.physics=simulated", "physics.sole=0"], "arrival.physics=simulated.*hard feet.*physics.sole=0.02"),
-        (
-            ["arrival.physics=simulated", "arrival.steps=61", "physics.sole=0.02"],
-            "arrival.steps=61 is more than an episode's .* lower it",
-        ),
+        (["physics.sole=0"], "arrival.weight=0.1.*hard feet.*physics.sole=0.02"),
+        (["arrival.steps=61"], "arrival.steps=61 is more than an episode's .* lower it"),
         (["reward.key_body_frame=own"], "arrival.weight=0.1 follows.*common frame only.*reward.key_body_frame=common"),
     ],
 )
 def test_what_the_arrival_gradient_cannot_follow_is_refused(values, words):
     with pytest.raises(InputError, match=words):
-        build([command_line(["scale=smoke", "arrival.weight=0.1", *values])])
+        build([command_line(["scale=smoke", "arrival.weight=0.1", "physics.sole=0.02", *values])])
     build([command_line(["scale=smoke", "arrival.weight=0", *values])])

@@ -210,11 +210,8 @@ def test_a_policy_that_comes_with_segue_has_a_name_unless_something_here_has_it(
     assert build([command_line(["start.checkpoint=builtin"])]).start.checkpoint == str(tmp_path / "builtin")
 
 
-@pytest.mark.parametrize("physics", ("learned", "simulated"))
-def test_a_network_for_arrivals_of_another_size_is_refused_and_left_out_where_none_is_used(
-    physics, configure, tmp_path
-):
-    on = {"arrival.weight": 0.1, "arrival.physics": physics, "arrival.steps": 2, "physics.sole": 0.02}
+def test_a_network_for_arrivals_of_another_size_is_refused_and_left_out_where_none_is_used(configure, tmp_path):
+    on = {"arrival.weight": 0.1, "arrival.steps": 2, "physics.sole": 0.02}
     train(configure(**{**on, "arrival.hidden": [16]}), tmp_path)
     changed = {**on, "arrival.hidden": [8]}
     with pytest.raises(InputError, match=r"arrival.hidden=\[16\], asked for arrival.hidden=\[8\]"):

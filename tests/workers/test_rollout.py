@@ -144,7 +144,6 @@ def test_a_chunk_has_the_documented_shapes_and_types(trajectories):
             "environment": ((n,), "int64"), "observation": ((t, n, 282), "float32"), "action": ((t, n, 31), "float32"),
             "mean": ((t, n, 31), "float32"), "reward": ((t, n), "float32"), "end": ((t, n), "int8"),
             "last_observation": ((n, 282), "float32"), "final_observation": ((ended, 282), "float32"),
-            "final_thresholds": ((ended, 3), "float64"),
             "pose": ((t, n, 84), "float32"), "next_pose": ((t, n, 84), "float32"), "pd_target": ((t, n, 31), "float32"),
             "log_sigma": ((t, n), "float64"),
         }  # fmt: skip

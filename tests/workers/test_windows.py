@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("everybody_is_near")
 
 STEPS, HORIZON, SEED, N = 2, 8, 5, 24
 ON = {
-    "task.max_steps": 10, "physics.sole": 0.02, "arrival.weight": 1.0, "arrival.physics": "simulated",
+    "task.max_steps": 10, "physics.sole": 0.02, "arrival.weight": 1.0,
     "arrival.steps": STEPS, "arrival.share": 0.6, "policy.judges": 4, "task.focus": 0.7,
 }  # fmt: skip
 INDEX = np.arange(N)
