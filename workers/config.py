@@ -123,7 +123,7 @@ class PhysicsConfig:
 @dataclass
 class ArrivalConfig:
     """Descent of what is left to the target, through derivatives of physics along a few steps of episodes played for it
-    (`learner/arrival.py`; not in the paper). A step's take as long as some 11 simulated ones."""
+    (`learner/arrival.py`; not in the paper). A step's take as long as ten simulated ones."""
 
     weight: float = 0.0
     """Of its gradient, clipped as PPO's is, in the mean with that. 0, the paper: none."""
