@@ -82,7 +82,7 @@ def smooth(gravity, cdof, cdof_dot, cinert, qvel, seen, late, by_pose, by_veloci
         shifted -= part
         cross(lag_above[j], axis, lagged)
         if j < 3:
-            sped[:] = 0.0
+            sped[:] = 0.0  # of the root's place alone: it does not turn, velocity[k] does
         else:
             cross(velocity[k], axis, sped)
             sped += moved

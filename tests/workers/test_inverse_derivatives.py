@@ -1,9 +1,11 @@
 """Derivatives of inverse dynamics in closed form, against differences of MuJoCo's own inverse dynamics."""
 
+import functools
+
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from workers.config import PhysicsConfig
@@ -17,6 +19,7 @@ FLOOR, LIMIT, EDGE = 0, mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT, mujoco.mjtCons
 SMALL = 1e-7
 
 
+@functools.cache
 def feet_only(sole):
     """The figure, of which only the feet meet the floor, with a solver that goes on until it is done."""
     model = build_model(PhysicsConfig(sole=sole, iterations=200, ls_iterations=100, tolerance=1e-14))
@@ -26,9 +29,6 @@ def feet_only(sole):
     feet = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     model.geom_conaffinity[feet] = 0  # not each other
     return model
-
-
-MODELS = {sole: feet_only(sole) for sole in (0.0, 0.02)}
 
 
 def placed(model, random_pose, seed, depth):
@@ -64,17 +64,16 @@ def jacobian(data):
     return out
 
 
-@pytest.mark.parametrize("sole", MODELS)
+@pytest.mark.parametrize("sole", (0.0, 0.02))
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_they_are_differences_of_mujocos_inverse_dynamics(random_pose, sole, seed):
     """Anywhere, at joints' limits, on corners of the feet; the acceleration is what the step had."""
-    model = MODELS[sole]
+    model = feet_only(sole)
     data = placed(model, random_pose, seed, np.random.default_rng(seed).uniform(-0.01, 0.03))
     qpos, qvel = data.qpos.copy(), data.qvel.copy()
     mujoco.mj_step(model, data)
-    if data.warning.number.any() or not np.isfinite(data.qvel).all() or np.abs(data.qvel).max() > 300:
-        return  # exploded
+    assume(not data.warning.number.any() and np.abs(data.qvel).max() < 300)  # has not exploded
     acceleration = (data.qvel - qvel) / model.opt.timestep
     limited = np.abs(data.actuator_force) >= model.actuator_forcerange[:, 1]
     stiffness = np.where(limited, 0.0, model.actuator_gainprm[:, 0])
@@ -109,8 +108,8 @@ def test_the_cases_above_have_limits_and_corners(random_pose):
     """Some of both kinds, else they would prove nothing."""
     met = []
     for seed in range(40):
-        data = placed(MODELS[0.02], random_pose, seed, 0.005)
-        mujoco.mj_step(MODELS[0.02], data)
+        data = placed(feet_only(0.02), random_pose, seed, 0.005)
+        mujoco.mj_step(feet_only(0.02), data)
         met.append([((data.efc_type == kind) & (data.efc_force > 0)).any() for kind in (LIMIT, EDGE)])
     assert (np.mean(met, axis=0) > 0.3).all()
 
