@@ -24,19 +24,15 @@ _PASSES, _BATCH = 3, 512
 _UNIT = 10.0  # of the network's output
 
 
-def cost(square):
-    """Of a step after which the residuals' squares (`learner.encoding.residuals`) sum to `square`, of any shape."""
-    return NEAR * torch.log((NEAR + torch.sqrt(1.0 + square)) / (NEAR + 1.0))
-
-
 class CostToGo:
     """The network and its optimizer: of a state, the discounted sum of the costs of all later steps."""
 
-    def __init__(self, hidden, discount, generator, device):
-        """hidden: units of the hidden layers. discount: per step. generator: of torch, for the first weights."""
+    def __init__(self, config, generator, device):
+        """config: `ArrivalConfig`. generator: of torch, for the first weights."""
         # smooth: its derivatives are what counts
-        network = build_mlp([OBSERVATION_SIZE, *hidden, 1], generator, 1.0, hidden_gain=1.0, activation=nn.SiLU)
-        self.network, self.discount, self._device = network.to(device), discount, device
+        network = build_mlp([OBSERVATION_SIZE, *config.hidden, 1], generator, 1.0, hidden_gain=1.0, activation=nn.SiLU)
+        self.network, self.discount, self._device = network.to(device), config.discount, device
+        self._time, self._ends = config.time, config.ends
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=_RATE, fused=True)
 
     def state_dict(self):
@@ -52,6 +48,14 @@ class CostToGo:
         """(n,), of normalized observations (n, 282)."""
         return _UNIT * self.network(inputs).squeeze(-1)
 
+    def cost(self, square):
+        """Of a step after which the residuals' squares (`learner.encoding.residuals`) sum to `square`, of any shape."""
+        return self._time + NEAR * torch.log((NEAR + torch.sqrt(1.0 + square)) / (NEAR + 1.0))
+
+    def goes_on(self, square):
+        """How much of what is to come after such a step an arrival leaves of it, 0 to 1."""
+        return torch.ones_like(square) if self._ends is None else 1.0 - 1.0 / (1.0 + (square / self._ends) ** 2)
+
     def learn(self, trials, normalized, difference, random):
         """Learn from `workers.types.Trials`; which share of the variance of what they cost was foreseen before that.
 
@@ -64,11 +68,11 @@ class CostToGo:
         limits = torch.as_tensor(trials.limits, device=self._device).repeat(steps + 1, 1)
         with torch.no_grad():
             inputs = normalized(observation)
-            costs = cost((residuals(*split(observation, difference), limits) ** 2).sum(dim=1))
-            foreseen = self(inputs)
-            fallen = cost((FALLEN / limits[:count, 0]) ** 2)
-        foreseen, costs = (array.cpu().numpy().reshape(steps + 1, count) for array in (foreseen, costs))
-        wanted = self.targets(costs, foreseen, trials.standing, fallen.cpu().numpy())
+            square = (residuals(*split(observation, difference), limits) ** 2).sum(dim=1)
+            arrays = self(inputs), self.cost(square), self.goes_on(square)
+            fallen = self.cost((FALLEN / limits[:count, 0]) ** 2)
+        foreseen, costs, goes_on = (array.cpu().numpy().reshape(steps + 1, count) for array in arrays)
+        wanted = self.targets(costs, goes_on, foreseen, trials.standing, fallen.cpu().numpy())
         alive = np.concatenate([np.ones((1, count), dtype=bool), trials.standing[:-1]])
         missed = (wanted - foreseen[:-1])[alive]
         explained = 1.0 - float((missed**2).mean() / max(wanted[alive].var(), 1e-12))
@@ -82,12 +86,15 @@ class CostToGo:
                 self._optimizer.step()
         return explained
 
-    def targets(self, costs, foreseen, standing, fallen):
+    def targets(self, costs, goes_on, foreseen, standing, fallen):
         """TD(lambda) targets (H, M) of states x_0 to x_{H-1} of M episodes of H steps.
 
-        costs, foreseen: (H + 1, M), of x_0 to x_H: of being there, and the network's. standing: (H, M), see `Trials`.
-        fallen: (M,), cost of a step of who has fallen.
+        costs, goes_on, foreseen: (H + 1, M), of x_0 to x_H: of being there, `goes_on`, and the network's. standing:
+        (H, M), see `Trials`. fallen: (M,), cost of a step of who has fallen.
         """
         after = np.where(standing, costs[1:], fallen / (1.0 - self.discount))
         end = np.where(standing, CONTINUES, FELL)
-        return advantages(after, foreseen[:-1], foreseen[-1], end, costs, self.discount, _TRACE)[1]  # no time-outs
+        no_timeouts = costs
+        return advantages(
+            after, foreseen[:-1], foreseen[-1], end, no_timeouts, self.discount, _TRACE, goes_on[1:]
+        )[1]

@@ -10,7 +10,6 @@ under unknown dynamics", 2014, whose models are fitted to episodes).
 
 import torch
 
-from learner.cost_to_go import cost
 from learner.encoding import deviations, residuals, split
 from learner.state import FORESIGHT
 
@@ -94,9 +93,12 @@ class FollowedWindows:
         count, draws, steps, size = observation.shape
         limits = self._limits[chosen].repeat_interleave(draws * steps, dim=0)
         left = residuals(*split(observation.reshape(-1, size), self._difference), limits)
-        after = cost((left**2).sum(dim=1)).reshape(count, draws, steps)
+        square = (left**2).sum(dim=1).reshape(count, draws, steps)
         foresight, inputs = self._state.cost_to_go, self._state.observations(observation[:, :, -1].flatten(0, 1))
         age = torch.arange(steps, device=self._state.device) - self._begin[chosen, None]  # of the window's own steps
+        goes_on = torch.where(age[:, None] >= 0, foresight.goes_on(square), 1.0).cumprod(dim=2)
+        before = torch.cat([torch.ones_like(goes_on[:, :, :1]), goes_on[:, :, :-1]], dim=2)
         weight = torch.where(age >= 0, foresight.discount ** age.clamp(min=0), 0.0)
         rest = foresight.discount ** (steps - self._begin[chosen])
-        return (after * weight[:, None]).sum(dim=2) + rest[:, None] * foresight(inputs).reshape(count, draws)
+        after = (foresight.cost(square) * weight[:, None] * before).sum(dim=2)
+        return after + rest[:, None] * goes_on[:, :, -1] * foresight(inputs).reshape(count, draws)

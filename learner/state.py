@@ -35,7 +35,7 @@ class LearnerState:
         self.cost_to_go, arrival = None, config.arrival
         if arrival.weight:
             generator = torch.Generator().manual_seed(seed)
-            self.cost_to_go = CostToGo(arrival.hidden, arrival.discount, generator, device)
+            self.cost_to_go = CostToGo(arrival, generator, device)
         self.updates = self.skipped = 0
 
     _PARTS = ("policy", "value", "policy_optimizer", "value_optimizer", "observations", "returns")

@@ -106,6 +106,8 @@ RULES = {
     "arrival.noise": at_least(0),
     "arrival.draws": at_least(1),
     "arrival.discount": FACTOR,
+    "arrival.ends": above(0),
+    "arrival.time": at_least(0),
     "arrival.steps": at_least(1),
     "arrival.batch_size": at_least(1),
     "arrival.target_kl": above(0),

@@ -148,13 +148,16 @@ def test_what_is_seen_is_that_of_slow_obvious_code(lesson):
 
 
 def costs(state, windows, m, seen):
-    """Of window m in which seen (K + 1, 282) is seen: each step's, discounted, and what is to come, by definition."""
-    total, discount = 0.0, 0.93
+    """Of window m in which seen (K + 1, 282) is seen: each step's, as much as it weighs, and what is to come, by
+    definition."""
+    total, weight, arrival = 0.0, 1.0, state.config.arrival
     for k in range(windows.begin[m], STEPS):
-        left = residuals(*split(seen[k + 1 : k + 2], True), torch.as_tensor(windows.limits[[m]]))
-        each = 4 * torch.log((4 + torch.sqrt(1 + (left**2).sum())) / 5)
-        total = total + discount ** (k - windows.begin[m]) * each
-    return total + discount ** (STEPS - windows.begin[m]) * state.cost_to_go(state.observations(seen[-1:]))[0]
+        square = (residuals(*split(seen[k + 1 : k + 2], True), torch.as_tensor(windows.limits[[m]])) ** 2).sum()
+        total = total + weight * (arrival.time + 4 * torch.log((4 + torch.sqrt(1 + square)) / 5))
+        weight = weight * 0.93
+        if arrival.ends is not None:
+            weight = weight * (1 - 1 / (1 + (square / arrival.ends) ** 2))
+    return total + weight * state.cost_to_go(state.observations(seen[-1:]))[0]
 
 
 def drawn_noise(config, count):
@@ -166,8 +169,11 @@ def drawn_noise(config, count):
     return torch.as_tensor(noise, dtype=torch.float32)
 
 
-def test_its_loss_is_what_is_left_under_noise_after_every_step_and_later(lesson):
+@pytest.mark.parametrize(("ends", "time"), ((None, 0.0), (5000.0, 1.5)))
+def test_its_loss_is_what_is_left_under_noise_after_every_step_and_later(ends, time, lesson):
     config, chunk, _ = lesson
+    config = copy.deepcopy(config)
+    config.arrival.ends, config.arrival.time = ends, time
     state, chosen = LearnerState(config, 1), np.array([3, 0, int(chunk.windows.begin.argmax())])
     assert chunk.windows.begin.max() > 0
     found, noise = FollowedWindows(state, chunk), drawn_noise(config, 3)
