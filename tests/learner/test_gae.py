@@ -33,6 +33,15 @@ def test_a_trajectory_without_an_end_worked_out_by_hand():
     np.testing.assert_allclose(returns[:, 0], np.add(wanted, [0.5, 0.2, 0.1]), rtol=1e-6)
 
 
+def test_steps_that_let_half_go_on_worked_out_by_hand():
+    # delta = (1 + .9 * .2 - .5, 0 + .45 * .1 - .2, 2 + .9 * .3 - .1); lambda * gamma = .72, .36 after the second step
+    got, _ = advantages(
+        column(1, 0, 2), column(0.5, 0.2, 0.1), np.float32([0.3]), column(0, 0, 0, dtype=np.int8),
+        np.zeros((3, 1)), 0.9, 0.8, column(1, 0.5, 1),
+    )  # fmt: skip
+    np.testing.assert_allclose(got[:, 0], [0.68 + 0.72 * (-0.155 + 0.36 * 2.17), -0.155 + 0.36 * 2.17, 2.17], rtol=1e-6)
+
+
 @pytest.mark.parametrize("end", [REACHED, FELL])
 def test_an_end_in_the_middle_worked_out_by_hand(end):
     # nothing follows the second step: delta = -.2, and the first step's sum stops there
