@@ -53,7 +53,7 @@ class CostToGo:
         return self._time + NEAR * torch.log((NEAR + torch.sqrt(1.0 + square)) / (NEAR + 1.0))
 
     def goes_on(self, square):
-        """How much of what is to come after such a step an arrival leaves of it, 0 to 1."""
+        """Share of what is to come after such a step that is left of it, 0 to 1: an arrival ends the rest."""
         return torch.ones_like(square) if self._ends is None else 1.0 - 1.0 / (1.0 + (square / self._ends) ** 2)
 
     def learn(self, trials, normalized, difference, random):
