@@ -99,6 +99,13 @@ class LearnerState:
             self.average.load_state_dict(self.policy.state_dict())
         self.observations.become(policy.observation_mean, policy.observation_scale, samples)
 
+    def take_critics(self, critics):
+        """Foresee as those of a policy file do (`orchestrator.saved.policy_content`); their optimizers are fresh."""
+        self.value.load_state_dict(critics["value"])
+        self.returns.load_state_dict(critics["returns"])
+        if self.cost_to_go and critics["cost_to_go"]:
+            self.cost_to_go.network.load_state_dict(critics["cost_to_go"])
+
     def snapshot(self):
         """The `workers.types.Policy` to act with."""
         config = self.config

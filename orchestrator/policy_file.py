@@ -1,11 +1,12 @@
-"""Make a policy file of a run: its policy for use elsewhere, a tenth of a checkpoint, which cannot be continued.
+"""Make a policy file of a run: its policy for use elsewhere, a fifth of a checkpoint, which cannot be continued.
 
 usage: python -m orchestrator.policy_file RUN FILE.pt
 
   python -m orchestrator.policy_file runs/builtin/ours-seed0 configs/policies/builtin.pt
 
 FILE.pt is what `python -m orchestrator.evaluate FILE.pt` takes: the averaged policy of the run's newest checkpoint,
-where its curriculum stood, a hash of its clips and its configuration, but no paths of this machine.
+the critics that a run goes on from that begins with it (start.checkpoint), where its curriculum stood, a hash of its
+clips and its configuration, but no paths of this machine.
 """
 
 import sys

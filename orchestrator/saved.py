@@ -48,27 +48,32 @@ def content_of(config, clips, iteration, learner, curriculum, workers, policies,
 def policy_content(saved, config):
     """Content of a policy file: a checkpoint for use, not for going on; for `learner.checkpoint.encode`.
 
-    It has the policy that is evaluated, where the curriculum stood, the clips' hash and a configuration to evaluate it
-    with. saved: as from `load_latest`. config: the run's.
+    It has the policy that is evaluated, the critics that a run that begins with it goes on from, where the curriculum
+    stood, the clips' hash and a configuration to evaluate it with. saved: as from `load_latest`. config: the run's.
     """
+    learner = saved["parts"][0]
     other = (*run_folder.FREE, "device", "motions.dir", "start.")  # and no paths
     return {
         "iteration": saved["iteration"],
         "config": {key: value for key, value in flatten(asdict(config)) if not key.startswith(other)},
         "clips": saved["clips"],
         "learner": None,
+        "critics": {
+            "value": learner["value"], "returns": learner["returns"],
+            "cost_to_go": (learner.get("cost_to_go") or {}).get("network"),
+        },
         "curriculum": asdict(saved["parts"][1]),
         "workers": [],
         "policies": [vars(saved["policies"][-1].averaged())],
         "thresholds": [],
-    }
+    }  # fmt: skip
 
 
 def load_latest(folder, config=None):
     """(content of the newest readable checkpoint of a run's folder, its path), or (None, None) if there is none yet.
 
     content: iteration, config and clips (see `check_same_run`; empty and None in older ones), parts (learner's and
-    curriculum's state), workers, policies, thresholds. With a `Config` its `checkpoint.storage` is searched, too. A
+    curriculum's state), critics (of a policy file, None in older ones), workers, policies, thresholds. With a `Config` its `checkpoint.storage` is searched, too. A
     broken one is passed over with a warning; InputError if all are broken.
     """
     places = [Path(folder) / "checkpoints"]
@@ -95,6 +100,7 @@ def _objects(content):
         "config": config,
         "clips": content.get("clips"),
         "parts": (content["learner"], CurriculumState(**curriculum)),
+        "critics": content.get("critics"),
         "workers": [WorkerState(**arrays(item)) for item in content["workers"]],
         "policies": [Policy(**arrays(item)) for item in content["policies"]],
         "thresholds": [Thresholds(**arrays(item)) for item in content["thresholds"]],

@@ -44,12 +44,12 @@ def _read(config):
             f"start.checkpoint={place}: no checkpoint there; give a run's folder, a file in it or a policy that comes "
             f"with Segue ({', '.join(shipped_policies())})"
         )
-    meaning, learner = _MEANING, source["parts"][0]
-    if config.arrival.weight and learner and learner.get("cost_to_go"):  # that network goes on, too
+    meaning, critics = _MEANING, source["parts"][0] or source["critics"]
+    if config.arrival.weight and critics and critics.get("cost_to_go"):  # that network goes on, too
         meaning += ("arrival.hidden",)
     other = disagreement(
         source["config"], saved.numbers_of(config),
-        lambda key: key.startswith(meaning) and (learner or key != "network.value_hidden"),
+        lambda key: key.startswith(meaning) and (critics or key != "network.value_hidden"),
     )  # fmt: skip
     if other is not None:
         raise InputError(f"start.checkpoint={path}: of a run with {other}")
@@ -57,10 +57,12 @@ def _read(config):
 
 
 def _around(config, source):
-    """State of a learner with the policy of a policy file, which holds no more than that: all else is fresh."""
+    """State of a learner with the policy of a policy file and, but in older ones, its critics: all else is fresh."""
     from learner.state import LearnerState  # torch, which who begins from scratch need not wait for
 
     trained, state = source["config"], LearnerState(config, config.seed)
     samples = source["iteration"] * trained["num_envs"] * trained["horizon"]
     state.take_policy(source["policies"][-1], samples)
+    if source["critics"]:
+        state.take_critics(source["critics"])
     return state.state_dict()

@@ -134,9 +134,37 @@ def test_a_file_is_as_good_as_its_folder(configure, source, begun, tmp_path, ass
 
 @pytest.fixture(scope="module")
 def policy_file(configure, source, tmp_path_factory):
+    """One of the time before policy files had critics."""
     path = tmp_path_factory.mktemp("policy") / "policy.pt"
-    replace_file(path, checkpoint.encode(saved.policy_content(content(source), configure())))
+    alone = saved.policy_content(content(source), configure())
+    del alone["critics"]
+    replace_file(path, checkpoint.encode(alone))
     return path
+
+
+def test_a_policy_file_begins_a_run_with_its_critics(configure, tmp_path, assert_same_bits):
+    """Value network, its targets' scale and what foresees the cost to go, in what they say of any state; and their
+    sizes are those that the run has to have."""
+    on = {"arrival.weight": 0.1, "arrival.steps": 2, "physics.sole": 0.02, "arrival.hidden": [16]}
+    folder, path = tmp_path / "source", tmp_path / "policy.pt"
+    config = configure(**on)
+    train(config, folder)
+    replace_file(path, checkpoint.encode(saved.policy_content(content(folder), config)))
+    with pytest.raises(KeyboardInterrupt):
+        train(other(configure, path, **on), tmp_path / "run", stop=lambda: True)
+    was = content(folder)["parts"][0]
+    first = saved.load_file(tmp_path / "run/checkpoints/00000000.pt")["parts"][0]
+    for name in ("value", "returns"):
+        assert_same_bits(first[name], was[name])
+    assert_same_bits(first["cost_to_go"]["network"], was["cost_to_go"]["network"])
+    assert not first["value_optimizer"]["state"] and not first["cost_to_go"]["optimizer"]["state"]
+    start.check(other(configure, path, **{**on, "arrival.weight": 0.0, "arrival.hidden": [8]}))
+    for changes, words in (
+        ({"arrival.hidden": [8]}, r"arrival.hidden=\[16\], asked for arrival.hidden=\[8\]"),
+        ({"network.value_hidden": [12]}, r"network.value_hidden=null, asked for network.value_hidden=\[12\]"),
+    ):
+        with pytest.raises(InputError, match=words):
+            start.check(other(configure, path, **{**on, **changes}))
 
 
 def test_a_policy_alone_begins_a_run_with_everything_else_fresh(configure, policy_file, tmp_path, assert_same_bits):
