@@ -27,9 +27,9 @@ class StartConfig:
 
     checkpoint: str | None = None
     """A checkpoint, or the folder of a run for its newest one, whose learner this run begins with: networks, optimizers
-    and normalizers; or a policy's file, or the name of one that comes with Segue (nine), with its critics, unless it
-    is of an older version; the optimizers are fresh then: see `ppo.policy_after`. Simulations and counters (schedules, too) begin anew, and clips may be others. Read
-    once: the run keeps a copy as its checkpoint 0. None: fresh networks."""
+    and normalizers; or a policy's file, or the name of one that comes with Segue (nine), with its critics (an
+    older version's has none) and fresh optimizers: see `ppo.policy_after`. Simulations and counters (schedules, too)
+    begin anew, and clips may be others. Read once: the run keeps a copy as its checkpoint 0. None: fresh networks."""
     tightenings: int | None = None
     """Tightenings of the thresholds to begin with; none: as many as the checkpoint had."""
 

@@ -73,8 +73,9 @@ def load_latest(folder, config=None):
     """(content of the newest readable checkpoint of a run's folder, its path), or (None, None) if there is none yet.
 
     content: iteration, config and clips (see `check_same_run`; empty and None in older ones), parts (learner's and
-    curriculum's state), critics (of a policy file, None in older ones), workers, policies, thresholds. With a `Config` its `checkpoint.storage` is searched, too. A
-    broken one is passed over with a warning; InputError if all are broken.
+    curriculum's state), critics (of a policy file, None in older ones), workers, policies, thresholds. With a
+    `Config` its `checkpoint.storage` is searched, too. A broken one is passed over with a warning; InputError if all
+    are broken.
     """
     places = [Path(folder) / "checkpoints"]
     if config is not None and config.checkpoint.storage is not None:
