@@ -3,8 +3,9 @@
     python -m benchmarks.peers --python PEERS/bin/python [--samples 500000] [--seconds S] [--only segue,sb3] [--json]
                                [key=value ...]
 
-Prints samples/s (learning included), CPU use, memory, the lines that a user writes, and the achievement rate at
-training noise after equal samples and after equal time. docs/peers.md says what is compared and how to install the
+Prints samples/s (learning included), CPU use, memory, the lines that a user writes, the achievement rate at training
+noise after equal samples and after equal time, and how long equal learning took: the time to the rate at equal samples,
+in that of the first line. docs/peers.md says what is compared and how to install the
 other libraries into an environment of their own (benchmarks/peers/requirements.txt).
 """
 
@@ -23,6 +24,7 @@ from benchmarks.peers.task import WARM_UP, build_config
 from motion.errors import InputError
 
 WINDOW = 10  # iterations over which an achievement rate is taken, at least
+EVERY = 3  # iterations between the points of a learning curve
 
 
 def main():
@@ -99,7 +101,14 @@ def compare(runs, config, options):
         for what, moment in moments.items():
             for key, value in achievements(run, config, moment, window).items():
                 entries[name][f"{key}_equal_{what}"] = value
+    first, run = next(iter(runs.items()))
+    curve = achievement_curve(run, config, options.samples, window)
+    for entry in entries.values():
+        wanted = entry["achievement_equal_samples"]
+        entry["first_line_seconds"] = next((at for at, rate in curve if rate is not None and rate >= wanted), None)
     return {
+        "first_line": first,
+        "curve": curve,
         "lines": entries,
         "samples": options.samples,
         "seconds": seconds,
@@ -126,24 +135,40 @@ def achievements(run, config, moment, window):
     }
 
 
+def achievement_curve(run, config, samples, window):
+    """[(seconds since the warm-up, achievement rate over `window` samples before)] of every `EVERY`th iteration."""
+    begin, end = round(window / config.samples_per_iteration), run.record.when(samples)
+    moments = [moment for moment in run.record.begins[begin::EVERY] if moment < end] + [end]
+    return [(moment - run.begin, achievements(run, config, moment, window)["achievement"]) for moment in moments]
+
+
 def show(figures):
     """The table, in Markdown."""
 
     def rate(value):
         return "-" if value is None else f"{value:.3f}"
 
+    def sooner(entry):
+        """How many times sooner the first line had learned as much."""
+        seconds = entry["first_line_seconds"]
+        return "-" if seconds is None else f"{entry['seconds_to_samples'] / seconds:.1f}"
+
     print(
         f"\n{figures['num_envs']} environments, horizon {figures['horizon']}, {figures['cores']} cores; achievement "
         f"after {figures['samples']:.0f} samples and after {figures['seconds']:.0f} s, over the last "
         f"{figures['window_samples']:.0f} samples\n"
     )
-    print("| library | samples/s | CPU | memory, MB | user's lines | at equal samples | at equal time | threads |")
-    print("|---|---:|---:|---:|---:|---:|---:|---|")
+    first = figures["lines"][figures["first_line"]]["title"]
+    print(
+        "| library | samples/s | CPU | memory, MB | user's lines | at equal samples | at equal time "
+        f"| its time to the former, in that of {first} | threads |"
+    )
+    print("|---|---:|---:|---:|---:|---:|---:|---:|---|")
     for entry in figures["lines"].values():
         print(
             f"| {entry['title']} | {entry['samples_per_second']:.0f} | {entry['cpu']:.2f} | {entry['memory_mb']:.0f} "
             f"| {entry['user_lines']} | {rate(entry['achievement_equal_samples'])} "
-            f"| {rate(entry['achievement_equal_time'])} | {entry['variant']} |"
+            f"| {rate(entry['achievement_equal_time'])} | {sooner(entry)} | {entry['variant']} |"
         )
 
 

@@ -4,16 +4,18 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks import processes
-from benchmarks.peers import shadow
+from benchmarks.peers import measure, shadow
+from benchmarks.peers.__main__ import compare
 from benchmarks.peers.libraries import build_lines
 from benchmarks.peers.lines import count_lines
 from benchmarks.peers.record import Writer, read
-from benchmarks.peers.task import PLAIN, build_config, first_thresholds
+from benchmarks.peers.task import PLAIN, WARM_UP, build_config, first_thresholds
 from workers.config import ObservationConfig
 from workers.types import REACHED
 
@@ -69,6 +71,30 @@ def test_records_of_several_processes_are_read_as_one_run(tmp_path):
     assert record.achievement(3.0, 20) == (3 + 1) / 6  # the third iteration alone
     assert record.achievement(3.0, 1000) == (1 + 2 + 3 + 3) / 18
     assert record.achievement(0.0, 20) is None
+
+
+def test_equal_learning_took_as_long_as_the_first_line_took_to_the_rate_of_each(tmp_path):
+    """Rates that rise by 0.01 an iteration in the first line and by 0.002 in the other, over windows of ten."""
+    config, runs = build_config([]), {}
+    samples = 40 * config.samples_per_iteration
+    for name, rise, duration in (("fast", 10, 1.0), ("slow", 2, 3.0)):
+        writer = Writer(tmp_path / f"{name}.record")
+        writer.write(0, 0, 0, True, at=100.0)
+        for i in range(1, 41):
+            writer.write(config.samples_per_iteration, 1000, rise * i, True, at=100.0 + duration * i)
+        record = read([tmp_path / f"{name}.record"])
+        runs[name] = measure.Run(tmp_path / name, record, np.array([[0, 0], [500, 1]]), np.array([[0, 1]]), {})
+    options = SimpleNamespace(samples=samples, seconds=None, overrides=[])
+    figures = compare(runs, config, options)
+    fast, slow = (figures["lines"][name] for name in ("fast", "slow"))
+    assert fast["achievement_equal_samples"] == pytest.approx(10 * 35.5 / 1000)  # of iterations 31 to 40
+    assert slow["achievement_equal_samples"] == pytest.approx(2 * 35.5 / 1000)
+    assert fast["first_line_seconds"] == fast["seconds_to_samples"] == 38.0
+    # 0.071: 10 i / 1000 over (i - 9 .. i) from i = 11.6 on; looked at after 10, 13, 16, ...
+    assert slow["first_line_seconds"] == 13 - WARM_UP and slow["seconds_to_samples"] == 38 * 3.0
+    assert figures["curve"][0] == (10 - WARM_UP, pytest.approx(0.055))
+    better = compare({"slow": runs["slow"], "fast": runs["fast"]}, config, options)
+    assert better["lines"]["fast"]["first_line_seconds"] is None
 
 
 @pytest.mark.parametrize("target", ["absolute", "difference"])
