@@ -42,14 +42,14 @@ def main():
     parser.add_argument("overrides", nargs="*", help="configuration of all, key=value")
     options = parser.parse_intermixed_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the library that runs is ended, too
-    lines = build_lines(options.python)
-    unknown = [name for name in options.only.split(",") if name not in lines]
-    if unknown:
-        parser.error(f"--only {options.only}: {unknown[0]!r} is none of {','.join(lines)}")
     try:
         config = build_config(options.overrides)
     except InputError as error:
         parser.error(str(error))
+    lines = build_lines(options.python, config.scale)
+    unknown = [name for name in options.only.split(",") if name not in lines]
+    if unknown:
+        parser.error(f"--only {options.only}: {unknown[0]!r} is none of {','.join(lines)}")
     with tempfile.TemporaryDirectory() as scratch:
         folder = (options.folder or Path(scratch)).absolute()
         runs, chosen = {}, {}

@@ -56,19 +56,22 @@ class Line:
             return list(overrides)
         command, *own = arguments(self.source)
         assert shlex.split(command) == ["python", "-m", "orchestrator.train"]
-        # where it writes and that it ends only when it is asked to; the rest is the user's
-        return [*overrides, *own, f"budget.samples={UNLIMITED}", f"out={folder}/run", f"tracking.uri=sqlite:///{folder}/mlflow.db"]
+        # the benchmark's own scale may be changed, what makes a line may not; besides where it writes and that it ends
+        # only when it is asked to, the rest is the user's
+        own.sort(key=lambda argument: not argument.startswith("scale="))
+        ends = [f"budget.samples={UNLIMITED}", f"out={folder}/run", f"tracking.uri=sqlite:///{folder}/mlflow.db"]
+        return [own[0], *overrides, *own[1:], *ends]
 
 
-def build_lines(python):
-    """All `Line`s by name; python: interpreter of the other libraries."""
+def build_lines(python, scale="demo"):
+    """All `Line`s by name; python: interpreter of the other libraries; scale: Segue's, for its title."""
     cores = os.cpu_count()
     # collecting and learning take turns in one process: physics may have every core
     turns = tuple(Variant(torch, 0, cores) for torch in (0, 1))
     rllib = (*turns, Variant(0, cores, 1), Variant(1, cores, 1))
     segue = (Variant(1),)  # its own command line decides over threads
     lines = (
-        Line("segue", "Segue (scale=laptop)", sys.executable, HERE / "segue.txt", segue),
+        Line("segue", f"Segue (scale={scale})", sys.executable, HERE / "segue.txt", segue),
         Line("segue_plain", "Segue, plain PPO", sys.executable, HERE / "segue_plain.txt", segue),
         Line("sb3", "Stable-Baselines3", python, HERE / "sb3.py", turns),
         Line("rsl", "rsl-rl", python, HERE / "rsl_rl_ppo.py", turns),

@@ -1,6 +1,6 @@
 """The achievement rate of a run that explores or draws its tasks otherwise, measured as the other libraries' is.
 
-Segue at scale=laptop has environments that act with less noise (`policy.judges`), noise that lasts several steps
+Segue has, with its own scales, environments that act with less noise (`policy.judges`), noise that lasts several steps
 (`policy.noise_window`) and draws tasks by how often they fail (`task.focus`), so that its own log tells a rate of
 something else. Here its policies, one per iteration, act once more, in environments that nobody learns from: uniform
 tasks, independent noise of the training's size.

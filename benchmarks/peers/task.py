@@ -1,4 +1,4 @@
-"""What every library trains: the same environment and the same numbers of PPO, taken from scale=laptop."""
+"""What every library trains: the same environment and the same numbers of PPO, taken from scale=demo."""
 
 import math
 from dataclasses import dataclass
@@ -47,9 +47,9 @@ class Task:
 
 
 def build_config(overrides):
-    """The laptop's `Config` with the curriculum held at its first thresholds, and plain PPO."""
-    layers = [settings.Layer({**PLAIN, "curriculum.achievement": 1.0}, "benchmark"), settings.command_line(overrides)]
-    return settings.build(layers)
+    """The demo's `Config` with the curriculum held at its first thresholds, and plain PPO."""
+    plain = {"scale": "demo", **PLAIN, "curriculum.achievement": 1.0}
+    return settings.build([settings.Layer(plain, "benchmark"), settings.command_line(overrides)])
 
 
 def first_thresholds(config):

@@ -16,6 +16,7 @@ from benchmarks.peers.libraries import build_lines
 from benchmarks.peers.lines import count_lines
 from benchmarks.peers.record import Writer, read
 from benchmarks.peers.task import PLAIN, WARM_UP, build_config, first_thresholds
+from orchestrator.settings import build, command_line
 from workers.config import ObservationConfig
 from workers.types import REACHED
 
@@ -116,7 +117,19 @@ def test_a_shadow_counts_the_fresh_tasks_of_the_policies_it_is_given(target, mak
     assert not shadow.explores_otherwise(config)
 
 
-def test_plain_ppo_explores_as_the_others_do_and_the_laptop_does_not():
+def test_the_scale_may_be_changed_and_what_makes_a_line_may_not(tmp_path):
+    """In the configuration that Segue's command line comes to, as in that of the others."""
+    lines = build_lines("python", "laptop")
+    asked = ["scale=laptop", "motions=builtin", "sbc.enabled=true", "curriculum.achievement=0.5"]
+    config = build([command_line(lines["segue_plain"].arguments(tmp_path, asked))])
+    assert config.scale == build_config(asked).scale == "laptop"
+    assert not config.sbc.enabled and config.curriculum.achievement == 1.0
+    assert config.ppo.epochs == build_config(asked).ppo.epochs == PLAIN["ppo.epochs"]
+    assert build([command_line(lines["segue"].arguments(tmp_path, []))]).scale == build_config([]).scale == "demo"
+    assert lines["segue"].title == "Segue (scale=laptop)"
+
+
+def test_plain_ppo_explores_as_the_others_do_and_the_demo_does_not():
     assert not shadow.explores_otherwise(build_config([]))
     own = {name: line.source.read_text() for name, line in build_lines("python").items() if line.is_segue}
     for key in PLAIN:

@@ -101,7 +101,7 @@ def test_a_budget_replaces_the_one_below():
         ("scael=smoke", ["did you mean 'scale'"]),
         ("motions.clips.idle.lopping=true", ["did you mean 'motions.clips.NAME.looping'"]),
         ("sbc=false", ["sbc is a group of keys", "sbc.enabled"]),
-        ("scale=lap", ["scale=lap", "demo, laptop, paper, precise, smoke"]),
+        ("scale=lap", ["scale=lap", "demo, laptop, paper, precise, smoke, transfer"]),
         ("motions=bultin", ["motions=bultin", "did you mean 'builtin'"]),
         ("motions=no/such.yaml", ["no/such.yaml", "no such file"]),
         ("num_envs=many", ["num_envs=many", "an integer"]),
@@ -150,7 +150,7 @@ def test_cuda_is_refused_where_there_is_none(monkeypatch):
     assert of("scale=smoke", "device=cuda").device == "cuda"
 
 
-@pytest.mark.parametrize("scale", ["smoke", "demo", "laptop", "paper"])
+@pytest.mark.parametrize("scale", ["smoke", "demo", "laptop", "paper", "transfer"])
 @pytest.mark.parametrize("motions", ["builtin", "reallusion", "deepmimic", "three"])
 def test_a_saved_configuration_loads_as_it_was(tmp_path, scale, motions):
     config = of(f"scale={scale}", f"motions={motions}", "ppo.clip=0.1234567890123456", "seed=7")
