@@ -1,20 +1,23 @@
 """Evaluate a trained policy on the grid of tasks: the 13 metrics of Table 1 (section 6), and where it fails.
 
-usage: python -m orchestrator.evaluate RUN_OR_POLICY [--config FILE] [key=value ...]
+usage: python -m orchestrator.evaluate RUN_OR_POLICY [--config FILE] [--motions FILE] [key=value ...]
        python -m orchestrator.evaluate RUN_OR_POLICY --replay N [--final] [--deterministic] [--save FILE.npz]
 
   python -m orchestrator.evaluate runs/ablation/ours-seed0
   python -m orchestrator.evaluate runs/ablation/ours-seed0 evaluation.max_tasks=0       the whole grid
   python -m orchestrator.evaluate runs/ablation/ours-seed0/checkpoints/00000480.pt      another than the newest
   python -m orchestrator.evaluate builtin                                               a policy that comes with Segue
+  python -m orchestrator.evaluate nine --motions mine.yaml motions.dir=FOLDER           on clips that it does not know
   python -m orchestrator.evaluate runs/ablation/ours-seed0 --replay 1234                a task of failures.csv again
 
 Of a run's folder the newest checkpoint is evaluated; evaluation.json, failures.csv and the finished shards
 (evaluation/) go there. Of a checkpoint's file they go to a folder beside it, NAME-evaluation/; of a policy that comes
-with Segue (`builtin`), to runs/NAME-evaluation/. The same command goes on where it was interrupted. Spread over Ray
-(runtime=ray; RAY_ADDRESS for a cluster) or in this process (runtime=local): the numbers are the same.
+with Segue (`builtin`), to runs/NAME-evaluation/; with other clips to a folder on-MOTIONS/ in there. The same
+command goes on where it was interrupted. Spread over Ray (runtime=ray; RAY_ADDRESS for a cluster) or in this process
+(runtime=local): the numbers are the same.
 
 --config FILE     the run's configuration; default: config.yaml of the run's folder, or what the checkpoint holds of it
+--motions FILE    clips that it has not been trained with: a state machine's file or the name of one of configs/motions
 --replay N        play the task of number N alone, at the thresholds reached in training and with the evaluation's noise
 --final           --replay at the final accuracy
 --deterministic   --replay without noise
@@ -43,7 +46,8 @@ from orchestrator.tasks import TaskGrid
 from workers.library import build_library
 
 PATIENCE = 10.0  # seconds to wait for another evaluation in the same folder, which may be about to end
-OPTIONS = {"--config": True, "--replay": True, "--save": True, "--final": False, "--deterministic": False}  # with value
+VALUED = ("--config", "--motions", "--replay", "--save")  # options that take a value
+OPTIONS = (*VALUED, "--final", "--deterministic")
 TITLES = {"metrics": "final accuracy", "trained": "as trained"}
 
 
@@ -74,8 +78,10 @@ def main(arguments):
     """Command line; see the module's docstring."""
     where, options, overrides = parse(arguments)
     where, out = locate(where)
-    config = configuration(where, options, ["device=cpu", *overrides])
-    subject = load_file(where, config) if where.suffix == ".pt" else load_newest(where, config)
+    config, elsewhere = configuration(where, options, ["device=cpu", *overrides]), "--motions" in options
+    subject = (load_file if where.suffix == ".pt" else load_newest)(where, config, elsewhere)
+    if elsewhere:  # beside what it does on its own clips
+        out = out / f"on-{config.motions.name}"
     if "--replay" in options:
         return replay(config, subject, options)
     conclude(out, run(out, config, subject))
@@ -106,7 +112,7 @@ def parse(arguments):
             continue
         if name not in OPTIONS:
             raise InputError(f"{name}: no such option; there are {', '.join(OPTIONS)}")
-        if OPTIONS[name] and not equals:
+        if name in VALUED and not equals:
             if not waiting:
                 raise InputError(f"{name}: needs a value")
             value = waiting.pop(0)
@@ -124,18 +130,19 @@ def configuration(where, options, arguments):
 
     arguments: key=value, over it. InputError if there is none.
     """
+    motions = options.get("--motions")
     if "--config" in options:
-        return load(options["--config"], arguments)
+        return load(options["--config"], arguments, motions)
     of_file = where.suffix == ".pt"
     path = run_folder.config_path(where.absolute().parent.parent if of_file else where)
     if path.exists():
-        return load(path, arguments)
+        return load(path, arguments, motions)
     content = load_checkpoint(where) if of_file else {"config": None}
     if not content["config"]:
         what = ", neither in it nor two levels above" if of_file else " there"
         raise InputError(f"{where}: no configuration{what}; give the run's config.yaml with --config FILE")
     # training's budget is not among the numbers of a checkpoint
-    return complete({"budget.iterations": max(content["iteration"], 1), **content["config"]}, where, arguments)
+    return complete({"budget.iterations": max(content["iteration"], 1), **content["config"]}, where, arguments, motions)
 
 
 def run(out, config, subject):

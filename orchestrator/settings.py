@@ -249,21 +249,28 @@ def save(config, path):
     replace_file(path, OmegaConf.to_yaml(OmegaConf.structured(config)).encode())
 
 
-def load(path, arguments=()):
-    """The `Config` that `save` wrote, with key=value arguments over it. InputError if missing or wrong."""
-    return complete(read_yaml(path, "configuration"), path, arguments)
+def load(path, arguments=(), motions=None):
+    """The `Config` that `save` wrote, with key=value arguments over it; see `complete`. InputError if missing or wrong.
+    """
+    return complete(read_yaml(path, "configuration"), path, arguments, motions)
 
 
-def complete(values, path, arguments=()):
+def complete(values, path, arguments=(), motions=None):
     """The `Config` of nested or dotted values that `path` holds, key=value arguments over them. InputError if wrong.
 
-    Nothing of configs/ is added; keys that are not there have the defaults of `Config`.
+    Nothing of configs/ is added; keys that are not there have the defaults of `Config`. motions: name or path of a
+    motions file (see `choose`) in the place of the clips there.
     """
     command = command_line(arguments)
     for key in FILE_KEYS:
         if key in command.values:
             raise InputError(f"command line: {key}= chooses a file for a new run; {path} is complete already")
     entries = [(k, v, str(path)) for k, v in flatten(values) if k not in REMOVED_KEYS]
+    if motions is not None:
+        file = choose("motions", motions, "--motions")
+        others = flatten(read_yaml(file, "motions file"), "motions.")
+        entries = [entry for entry in entries if not entry[0].startswith("motions.")]
+        entries += [(key, value, shown_path(file)) for key, value in others]
     entries = stacked([entries, [(key, value, command.origin) for key, value in flatten(command.values)]])
     result = to_config(nested(entries), f"configuration {path}")
     origins = {key: origin for key, _, origin in entries}

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from learner import checkpoint
 from learner.checkpoint import SCHEMA
@@ -181,6 +182,26 @@ def test_a_policy_is_not_evaluated_with_otherclips_of(run, config, make_config):
         main([str(run)])
     with pytest.raises(InputError, match=r"00000002.pt: trained with the clips"):
         load_policy(run, other)
+
+
+def test_other_clips_have_to_be_asked_for_and_are_played_by_the_same_rules(run, config, tmp_path):
+    """With its own clips as `--motions` a run does what it does without; with others, those."""
+    own = evaluate_run(run, config)
+    before = (run / "evaluation.json").read_bytes()
+    motions = yaml.safe_load((run / "config.yaml").read_text())["motions"]
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump({**motions, "name": "mine"}))
+    assert main([str(run), "--motions", str(path)]) == 0
+    assert json.loads((run / "on-mine/evaluation.json").read_text()) == own
+    clips = {"idle": motions["clips"]["idle"], "walk": {"file": "builtin:walk", "looping": True}}
+    path.write_text(yaml.safe_dump({"name": "other", "clips": clips}))
+    assert main([str(run / "checkpoints/00000002.pt"), "--motions", str(path)]) == 0
+    other = json.loads((run / "checkpoints/00000002-evaluation/on-other/evaluation.json").read_text())
+    assert other["states"] == ["idle", "walk"] and other["tasks"] == 20 and len(other["groups"]) == 4
+    assert (run / "evaluation.json").read_bytes() == before
+    for where, words in (("nowhere.yaml", "--motions: motions=nowhere.yaml: no such file"), ("walks", "not known")):
+        with pytest.raises(InputError, match=words):
+            main([str(run), "--motions", where])
 
 
 def test_a_policy_of_another_character_is_not_evaluated(run, make_policy, config):
