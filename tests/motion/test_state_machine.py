@@ -194,7 +194,10 @@ def test_a_builtin_clip_loops_only_where_the_config_says_so():
 @real
 @pytest.mark.parametrize(
     ("name", "folder", "clips"),
-    [("reallusion", "reallusion", 9), ("three", "reallusion", 3), ("deepmimic", "deepmimic", 6)],
+    [
+        ("reallusion", "reallusion", 9), ("three", "reallusion", 3), ("reallusion_all", "reallusion", 24),
+        ("deepmimic", "deepmimic", 6),
+    ],
 )
 def test_the_real_sets_load_fully_connected(name, folder, clips):
     config = OmegaConf.to_object(load(name))
@@ -206,6 +209,7 @@ def test_the_real_sets_load_fully_connected(name, folder, clips):
     assert all(state.cancel[1] - state.cancel[0] > 0.3 for state in machine.states)
 
 
-def test_three_has_the_same_ranges_as_the_nine():
-    nine, three = (OmegaConf.to_object(load(name)) for name in ("reallusion", "three"))
+def test_three_and_all_have_the_same_ranges_as_the_nine():
+    nine, three, every = (OmegaConf.to_object(load(name)) for name in ("reallusion", "three", "reallusion_all"))
     assert all(nine.clips[name] == clip for name, clip in three.clips.items())
+    assert all(every.clips[name] == clip for name, clip in nine.clips.items())

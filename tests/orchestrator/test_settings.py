@@ -151,7 +151,7 @@ def test_cuda_is_refused_where_there_is_none(monkeypatch):
 
 
 @pytest.mark.parametrize("scale", ["smoke", "demo", "laptop", "paper", "transfer"])
-@pytest.mark.parametrize("motions", ["builtin", "reallusion", "deepmimic", "three"])
+@pytest.mark.parametrize("motions", ["builtin", "reallusion", "reallusion_all", "deepmimic", "three"])
 def test_a_saved_configuration_loads_as_it_was(tmp_path, scale, motions):
     config = of(f"scale={scale}", f"motions={motions}", "ppo.clip=0.1234567890123456", "seed=7")
     save(config, tmp_path / "config.yaml")
