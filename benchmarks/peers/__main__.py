@@ -17,6 +17,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks.peers import measure, shadow
 from benchmarks.peers.child import POLICIES
 from benchmarks.peers.libraries import build_lines
@@ -24,7 +26,6 @@ from benchmarks.peers.task import WARM_UP, build_config
 from motion.errors import InputError
 
 WINDOW = 10  # iterations over which an achievement rate is taken, at least
-EVERY = 3  # iterations between the points of a learning curve
 
 
 def main():
@@ -105,7 +106,8 @@ def compare(runs, config, options):
     curve = achievement_curve(run, config, options.samples, window)
     for entry in entries.values():
         wanted = entry["achievement_equal_samples"]
-        entry["first_line_seconds"] = next((at for at, rate in curve if rate is not None and rate >= wanted), None)
+        entry["first_line_seconds"] = next((at for at, rate in curve if rate >= wanted), None)
+    entries[first]["first_line_seconds"] = entries[first]["seconds_to_samples"]  # played twice, two rates
     return {
         "first_line": first,
         "curve": curve,
@@ -136,10 +138,16 @@ def achievements(run, config, moment, window):
 
 
 def achievement_curve(run, config, samples, window):
-    """[(seconds since the warm-up, achievement rate over `window` samples before)] of every `EVERY`th iteration."""
-    begin, end = round(window / config.samples_per_iteration), run.record.when(samples)
-    moments = [moment for moment in run.record.begins[begin::EVERY] if moment < end] + [end]
-    return [(moment - run.begin, achievements(run, config, moment, window)["achievement"]) for moment in moments]
+    """[(seconds since the warm-up, achievement rate over `window` samples before)] at the end of each iteration."""
+    first, end = round(window / config.samples_per_iteration), run.record.when(samples)
+    moments, folder = [moment for moment in run.record.begins[first:] if moment <= end], run.folder / POLICIES
+    if folder.is_dir():
+        sums = shadow.counts(config, folder, range(1, first + len(moments))).cumsum(axis=0)
+        ended, reached = (sums[first - 1 :] - np.vstack([[0, 0], sums[: -first]])).T
+        rates = reached / np.maximum(ended, 1)
+    else:
+        rates = [run.record.achievement(moment, window) for moment in moments]
+    return [(moment - run.begin, float(rate)) for moment, rate in zip(moments, rates)]
 
 
 def show(figures):

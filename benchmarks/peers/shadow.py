@@ -8,6 +8,8 @@ tasks, independent noise of the training's size.
 
 from dataclasses import asdict, replace
 
+import numpy as np
+
 from benchmarks.peers.task import first_thresholds
 from learner import checkpoint
 from motion.state_machine import build_state_machine
@@ -39,13 +41,19 @@ def load(folder, iteration):
 
 
 def achievement(config, folder, last, window, averaged=False):
-    """Achievement rate of the policies of the `window` iterations up to iteration `last`, a chunk by each.
+    """Achievement rate of the policies of the `window` iterations up to iteration `last`; see `counts`."""
+    numbers = [max(last - window + 1 + i, 1) for i in range(window)]
+    ended, reached = counts(config, folder, numbers, averaged).sum(axis=0)
+    return reached / ended if ended else None
+
+
+def counts(config, folder, iterations, averaged=False):
+    """(n, 2): fresh tasks that ended, and that were reached, in a chunk by the policy of each of n iterations.
 
     config: `Config` of plain PPO, but for the observation, which is the run's own. averaged: by the running averages of
     their weights (`policy.average`) instead.
     """
-    numbers = [max(last - window + 1 + i, 1) for i in range(window)]
-    config = replace(config, observation=load(folder, numbers[0])[1])
+    config = replace(config, observation=load(folder, iterations[0])[1])
     rollout = Rollout(
         config, build_library(build_state_machine(config.motions)), config.num_envs, config.horizon,
         config.seed + SEED, config.worker_threads,
@@ -53,13 +61,12 @@ def achievement(config, folder, last, window, averaged=False):
     limits, state = first_thresholds(config), rollout.initial_state(0)
     # all environments begin together, short episodes end first: until time is up, the rate is not that of the tasks
     before = -(-config.task.max_steps // config.horizon)
-    reached = ended = 0
-    for i, number in enumerate([numbers[0]] * before + numbers):
+    found = []
+    for number in [iterations[0]] * before + list(iterations):
         policy, _ = load(folder, number)
         policy = policy.averaged() if averaged else policy
         policy = replace(policy, noise_window=1, judges=0, average_weights=(), average_biases=())
         chunk, state = rollout.collect(state, policy, limits)
-        if i >= before:
-            fresh = ~chunk.outcomes.retained
-            ended, reached = ended + int(fresh.sum()), reached + int((fresh & (chunk.outcomes.end == REACHED)).sum())
-    return reached / ended if ended else None
+        fresh = ~chunk.outcomes.retained
+        found.append((fresh.sum(), (fresh & (chunk.outcomes.end == REACHED)).sum()))
+    return np.array(found[before:])

@@ -11,7 +11,8 @@ import pytest
 
 from benchmarks import processes
 from benchmarks.peers import measure, shadow
-from benchmarks.peers.__main__ import compare
+from benchmarks.peers.__main__ import achievement_curve, compare
+from benchmarks.peers.child import POLICIES
 from benchmarks.peers.libraries import build_lines
 from benchmarks.peers.lines import count_lines
 from benchmarks.peers.record import Writer, read
@@ -91,11 +92,30 @@ def test_equal_learning_took_as_long_as_the_first_line_took_to_the_rate_of_each(
     assert fast["achievement_equal_samples"] == pytest.approx(10 * 35.5 / 1000)  # of iterations 31 to 40
     assert slow["achievement_equal_samples"] == pytest.approx(2 * 35.5 / 1000)
     assert fast["first_line_seconds"] == fast["seconds_to_samples"] == 38.0
-    # 0.071: 10 i / 1000 over (i - 9 .. i) from i = 11.6 on; looked at after 10, 13, 16, ...
-    assert slow["first_line_seconds"] == 13 - WARM_UP and slow["seconds_to_samples"] == 38 * 3.0
-    assert figures["curve"][0] == (10 - WARM_UP, pytest.approx(0.055))
+    # 0.071: 10 i / 1000 over (i - 9 .. i) from i = 11.6 on
+    assert slow["first_line_seconds"] == 12 - WARM_UP and slow["seconds_to_samples"] == 38 * 3.0
+    assert figures["curve"][0] == (10 - WARM_UP, pytest.approx(0.055)) and len(figures["curve"]) == 31
     better = compare({"slow": runs["slow"], "fast": runs["fast"]}, config, options)
     assert better["lines"]["fast"]["first_line_seconds"] is None
+
+
+def test_a_learning_curve_by_policies_is_of_the_same_windows(tmp_path, monkeypatch):
+    """One pass over all policies, summed up: as if every window had been added up by itself."""
+    config, random = build_config([]), np.random.default_rng(0)
+    writer = Writer(tmp_path / "a.record")
+    writer.write(0, 0, 0, True, at=0.0)
+    for i in range(1, 19):
+        writer.write(config.samples_per_iteration, 0, 0, True, at=float(i))
+    counted = np.stack([random.integers(5, 9, 18), random.integers(0, 5, 18)], axis=1)
+    monkeypatch.setattr(shadow, "counts", lambda config, folder, iterations: counted[np.array(iterations) - 1])
+    (tmp_path / POLICIES).mkdir()
+    run = measure.Run(tmp_path, read([tmp_path / "a.record"]), None, None, {})
+    curve = achievement_curve(run, config, 16 * config.samples_per_iteration, 4 * config.samples_per_iteration)
+    assert [at for at, _ in curve] == [m - WARM_UP for m in range(4, 17)]
+    for at, rate in curve:
+        last = int(at) + WARM_UP
+        ended, reached = counted[last - 4 : last].sum(axis=0)
+        assert rate == reached / ended
 
 
 @pytest.mark.parametrize("target", ["absolute", "difference"])
