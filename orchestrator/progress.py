@@ -6,6 +6,8 @@ import threading
 import time
 from dataclasses import dataclass, field
 
+from motion.state_machine import build_state_machine
+
 WAITING, RUNNING, EVALUATING, DONE, FAILED = "waiting", "training", "evaluating", "done", "failed"
 THRESHOLDS = ("root_position", "key_bodies", "joint_rotation")
 REDRAW = 0.5  # seconds between updates of the block
@@ -174,6 +176,19 @@ def parts(config):
         f"{count(config.num_workers, 'worker')} x {count(config.worker_threads, 'thread')}{spare} and one learner on "
         f"{config.device}; runtime {config.runtime}"
     )
+
+
+def clips(config):
+    """Lines about the clips of a run: how many, and which of them are a target that no figure can stand at."""
+    from workers.footing import floating_targets  # compiled code, which only who begins a run waits for
+
+    lines = [f"{len(config.motions.clips)} clips ({config.motions.name})"]
+    for name, height in floating_targets(build_state_machine(config.motions)):
+        lines.append(
+            f"  clip {name} floats: its lowest point is {height:.2f} m above the floor at its start point, where no "
+            "figure can stand; lower the clip, give it another start, or leave it out"
+        )
+    return lines
 
 
 def samples(value):

@@ -22,7 +22,7 @@ from orchestrator import folder as run_folder
 from orchestrator import mlflow_store, report, start, table
 from orchestrator.console import catch_signals, run_command
 from orchestrator.plan import read_plan
-from orchestrator.progress import DONE, Progress, Row, parts, samples
+from orchestrator.progress import DONE, Progress, Row, clips, parts, samples
 from orchestrator.settings import command_line, load
 from orchestrator.tracking import Tracking, commit_tag
 
@@ -85,7 +85,7 @@ def announce(plan, states):
     total = config.total_iterations * config.samples_per_iteration
     seeds = ", ".join(map(str, plan.seeds))
     print(f"sweep {plan.name}: rows {', '.join(plan.rows)}; seed{'s' * (len(plan.seeds) > 1)} {seeds}")
-    print(f"  scale {config.scale}; {len(config.motions.clips)} clips ({config.motions.name})")
+    print(f"  scale {config.scale}; " + "\n".join(clips(config)))
     print(
         f"  per run {samples(total)} samples: {config.total_iterations} iterations of {config.num_envs} simulations x "
         f"{config.horizon} steps"

@@ -21,7 +21,7 @@ from orchestrator import folder as run_folder
 from orchestrator import mlflow_store, start
 from orchestrator.console import catch_signals, run_command, stopping
 from orchestrator.plan import Run, run_name
-from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, parts, samples
+from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, clips, parts, samples
 from orchestrator.settings import Layer, build, command_line, load
 from orchestrator.sweep import with_device
 from orchestrator.table import COLUMNS, cell
@@ -72,7 +72,7 @@ def resumed(arguments):
 def announce(run, state):
     """Say what will run, on what, and where it goes."""
     config = run.config
-    print(f"{run.name}: scale {config.scale}; {len(config.motions.clips)} clips ({config.motions.name})")
+    print(f"{run.name}: scale {config.scale}; " + "\n".join(clips(config)))
     total = config.total_iterations * config.samples_per_iteration
     print(
         f"  {samples(total)} samples: {config.total_iterations} iterations of "

@@ -195,7 +195,7 @@ def test_a_builtin_clip_loops_only_where_the_config_says_so():
 @pytest.mark.parametrize(
     ("name", "folder", "clips"),
     [
-        ("reallusion", "reallusion", 9), ("three", "reallusion", 3), ("reallusion_all", "reallusion", 24),
+        ("reallusion", "reallusion", 9), ("three", "reallusion", 3), ("reallusion_all", "reallusion", 23),
         ("deepmimic", "deepmimic", 6),
     ],
 )
