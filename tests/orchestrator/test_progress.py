@@ -5,7 +5,8 @@ import re
 
 import pytest
 
-from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, duration, parts, samples
+from motion.state_machine import build_state_machine
+from orchestrator.progress import DONE, EVALUATING, FAILED, RUNNING, Progress, Row, clips, duration, parts, samples
 from orchestrator.settings import build, command_line
 
 
@@ -138,3 +139,14 @@ def test_numbers_in_words():
 )
 def test_the_parts_of_a_run(arguments, text):
     assert parts(build([command_line(["scale=smoke", "device=cpu", *arguments])])) == text
+
+
+def test_a_target_in_the_air_is_named_before_a_run_begins():
+    """The built-in dodge jumps: its highest moment is no place to arrive at."""
+    config = build([command_line(["scale=smoke", "device=cpu"])])
+    assert clips(config) == ["9 clips (builtin)"]
+    dodge = next(s.clip for s in build_state_machine(config.motions).states if s.name == "dodge_back")
+    config.motions.clips["dodge_back"].start = float(dodge.qpos[:, 2].argmax() / dodge.fps)
+    first, line = clips(config)
+    assert first == "9 clips (builtin)"
+    assert re.match(r"  clip dodge_back floats: its lowest point is 0\.\d\d m above the floor at its start point", line)
