@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 
 .PHONY: demo test check clean
 
-demo: $(VENV)/ready  ## the ablation sweep on the built-in clips, 6 minutes on 2 cores
+demo: $(VENV)/ready  ## the ablation sweep on the built-in clips, 2 to 6 minutes on 2 cores
 	$(RUN) -m orchestrator.sweep sweeps/ablation.yaml scale=demo
 
 test: $(VENV)/ready  ## the default suite
