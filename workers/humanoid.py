@@ -167,12 +167,18 @@ def _actuators():
 
 
 def mjcf(physics):
-    """The figure on a floor as an MJCF document (str), for a `PhysicsConfig`."""
+    """The figure on a floor as an MJCF document (str), for a `PhysicsConfig`.
+
+    Euler's step makes the joints' damping implicit, which is all that implicitfast would do here, and the figure is one
+    tree, so that islands of the solver are the whole: the same bits without either, and less time.
+    """
     excludes = "\n".join(f'<exclude body1="{a}" body2="{b}"/> <!-- {why} -->' for a, b, why in EXCLUDED)
     return f"""<mujoco model="sword_and_shield">
 <compiler angle="radian" autolimits="true"/>
-<option timestep="{physics.timestep!r}" integrator="implicitfast" solver="Newton" jacobian="sparse"
-  iterations="{physics.iterations}" ls_iterations="{physics.ls_iterations}" tolerance="{physics.tolerance!r}"/>
+<option timestep="{physics.timestep!r}" integrator="Euler" solver="Newton" jacobian="sparse"
+  iterations="{physics.iterations}" ls_iterations="{physics.ls_iterations}" tolerance="{physics.tolerance!r}">
+<flag island="disable"/>
+</option>
 <size memory="1M"/>
 <worldbody>
 <geom name="floor" type="plane" size="0 0 1" {_FLOOR_CONTACT}/>

@@ -160,3 +160,24 @@ def test_a_figure_with_soles_stands_where_it_stands_without():
 
     assert height(0.01) == pytest.approx(height(0.0), abs=0.002)
     assert height(0.02) == pytest.approx(height(0.0), abs=0.002)
+
+
+@pytest.mark.parametrize("sole", (0.0, 0.02))
+def test_neither_the_cheaper_integrator_nor_islands_change_a_bit_of_figures_that_fall(sole):
+    fast, full = build_model(PhysicsConfig(sole=sole)), build_model(PhysicsConfig(sole=sole))
+    full.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    full.opt.disableflags = 0
+    contacts = 0
+    for seed in range(8):
+        random, ends = np.random.default_rng(seed), []
+        start, controls = random.normal(size=fast.nv), random.normal(size=(120, fast.nu))
+        for model in (fast, full):
+            data = mujoco.MjData(model)
+            data.qpos[2], data.qvel[:] = 1.0, start
+            for k in range(120):
+                data.ctrl[:] = controls[k // 4]
+                mujoco.mj_step(model, data)
+                contacts += data.ncon
+            ends.append(np.concatenate([data.qpos, data.qvel]))
+        np.testing.assert_array_equal(*ends)
+    assert contacts > 120
