@@ -150,8 +150,8 @@ class _Simulation:
     def __init__(self, config):
         physics, self._mode, self._scale = config.physics, MODES[config.action.mode], config.action.scale
         self._model = build_model(physics)
-        # inverse dynamics of the acceleration that is integrated. implicitfast is Euler's step here, bit for bit (no actuator
-        # has damping), only slower; of the two inverses, which round otherwise, runs keep the one that they had
+        # inverse dynamics of the acceleration that is integrated. implicitfast is Euler's step here, bit for bit (no
+        # actuator has damping), only slower; of the two inverses, which round otherwise, runs keep the one they had
         self._model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         self._model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
         self._data, self._differences = mujoco.MjData(self._model), np.empty((NV, NV))

@@ -5,8 +5,8 @@
 
 Prints samples/s (learning included), CPU use, memory, the lines that a user writes, the achievement rate at training
 noise after equal samples and after equal time, and how long equal learning took: the time to the rate at equal samples,
-in that of the first line. docs/peers.md says what is compared and how to install the
-other libraries into an environment of their own (benchmarks/peers/requirements.txt).
+in that of the first line; then what no library could beat on this machine. docs/peers.md says what is compared and how
+to install the other libraries into an environment of their own (benchmarks/peers/requirements.txt).
 """
 
 import argparse
@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.peers import measure, shadow
+from benchmarks.peers.ceiling import ceilings
 from benchmarks.peers.child import POLICIES
 from benchmarks.peers.libraries import build_lines
 from benchmarks.peers.task import WARM_UP, build_config
@@ -62,6 +63,7 @@ def main():
         if not runs:
             sys.exit("nothing to compare: see docs/peers.md for how to install the libraries")
         figures = compare(runs, config, options)
+    figures["ceilings"] = ceilings(config)
     for name, entry in figures["lines"].items():
         entry |= {"title": lines[name].title, "user_lines": lines[name].user_lines, **chosen[name]}
     show(figures)
@@ -178,6 +180,9 @@ def show(figures):
             f"| {entry['user_lines']} | {rate(entry['achievement_equal_samples'])} "
             f"| {rate(entry['achievement_equal_time'])} | {sooner(entry)} | {entry['variant']} |"
         )
+    print("\nAt most, if every core did nothing else: " + ", ".join(
+        f"{name} {samples:.0f} samples/s" for name, samples in figures["ceilings"].items()
+    ))  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import processes
-from benchmarks.peers import measure, shadow
+from benchmarks.peers import ceiling, measure, shadow
 from benchmarks.peers.__main__ import achievement_curve, compare
 from benchmarks.peers.child import POLICIES
 from benchmarks.peers.libraries import build_lines
@@ -116,6 +116,34 @@ def test_a_learning_curve_by_policies_is_of_the_same_windows(tmp_path, monkeypat
         last = int(at) + WARM_UP
         ended, reached = counted[last - 4 : last].sum(axis=0)
         assert rate == reached / ended
+
+
+def test_nobody_is_faster_than_all_cores_at_the_least_that_training_does(monkeypatch):
+    """Of each part the median of all rounds, on every core at once; an epoch comes on top of collecting."""
+    took = {"physics": [2.0, 9.0, 1.0], "collect": [3.0, 4.0, 8.0], "epoch": [9.0, 0.5, 0.5, 7.0]}
+    config = build_config([])
+    monkeypatch.setattr(ceiling, "rollout_parts", lambda config: ("collect", lambda threads: "physics"))
+    monkeypatch.setattr(ceiling, "epoch", lambda config: lambda: took["epoch"].pop(0))
+    monkeypatch.setattr(ceiling, "seconds", lambda work: took[work].pop(0) if isinstance(work, str) else work())
+    monkeypatch.setattr(ceiling.os, "cpu_count", lambda: 4)
+    samples = 4 * config.samples_per_iteration
+    assert ceiling.ceilings(config) == {
+        "physics alone": samples / 2.0,
+        "collecting alone": samples / 4.0,
+        "collecting and one epoch": samples / 4.5,
+    }
+
+
+def test_an_epoch_takes_the_gradient_of_every_weight_by_every_sample_once(monkeypatch):
+    config, seen = build_config(["num_envs=24", "ppo.minibatch_size=100"]), []
+    original = ceiling.torch.autograd.grad
+    monkeypatch.setattr(
+        ceiling.torch.autograd, "grad", lambda loss, weights: seen.append(original(loss, weights)) or seen[-1]
+    )
+    ceiling.epoch(config)()
+    batches = -(-config.samples_per_iteration // 100)
+    assert len(seen) == 2 * batches and {len(gradients) for gradients in seen} == {6}
+    assert all(gradient.abs().sum() > 0 for gradients in seen for gradient in gradients)
 
 
 @pytest.mark.parametrize("target", ["absolute", "difference"])
