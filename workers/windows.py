@@ -46,6 +46,15 @@ def _last(seed, environment, clock, number, near):
     return out
 
 
+def after_arrival(left, limits):
+    """(H, n): whether an episode had arrived at an earlier step: what it does then is no longer its task.
+
+    left: (H, n, 3), deviations after each step; limits: (n, 3).
+    """
+    arrived = (left < limits).all(axis=2)
+    return arrived.cumsum(axis=0) > arrived
+
+
 class Scouts:
     """Plays them for one worker; scratch memory only."""
 
@@ -64,6 +73,8 @@ class Scouts:
         limits = self._limits(thresholds, len(environment))
         trials = Trials(environment, limits.astype(np.float32), observation, np.isfinite(left[:, :, 0]))
         near, made = left[:, :, 0] < FAR, []
+        if self._config.arrival.ends is not None:
+            near &= ~after_arrival(left, limits)
         for number in range(self._config.arrival.windows):
             last = _last(self._seed, environment, clock, number, near)
             made.append(self._window(network, deviation, trials, physics, last, clock))

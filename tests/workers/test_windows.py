@@ -130,6 +130,31 @@ def test_all_near_steps_are_equally_likely_to_be_the_last(config):
     np.testing.assert_allclose(found, [0, 0.25, 0.25, 0, 0, 0.25, 0.25], atol=0.04)
 
 
+def test_after_an_arrival_is_every_step_later_than_the_first_within_all_limits():
+    random = np.random.default_rng(0)
+    left, limits = random.uniform(size=(9, 200, 3)), random.uniform(0.3, 0.9, size=(200, 3))
+    left[4:, 7] = np.inf  # fell
+    found = windows.after_arrival(left, limits)
+    for i in range(200):
+        over = False
+        for t in range(9):
+            assert found[t, i] == over
+            over = over or all(left[t, i, k] < limits[i, k] for k in range(3))
+    assert found.any() and not found.all()
+
+
+@pytest.mark.parametrize("ends", [None, 3.0])
+def test_where_arrivals_end_no_window_does_later(ends, library, make_config, policy, easy, monkeypatch):
+    """Limits that all are within at once: every window is of the first step, or of any step where nothing ends."""
+    changed, asked = make_config({**ON, "arrival.ends": ends, "arrival.windows": 2}), []
+    scouts, last = Scouts(changed, library, N, SEED, 1), windows._last
+    monkeypatch.setattr(scouts, "_limits", lambda thresholds, n: np.full((n, 3), 1e6))
+    monkeypatch.setattr(windows, "_last", lambda *arguments: asked.append(last(*arguments)) or asked[-1])
+    scouts.play(policy, easy, INDEX, 0)
+    steps = np.concatenate(asked)
+    assert steps.max() == 0 if ends else steps.max() > 5
+
+
 def test_each_has_as_many_windows_as_asked_for_wherever_they_end(library, make_config, config, policy, easy):
     """They begin in what was seen of the same episodes; the first of each is what there is if it is the only one."""
     (one, alone), (found, trials) = (
