@@ -100,7 +100,7 @@ def test_the_policy_that_comes_with_segue_reaches_what_its_training_reached(tmp_
     assert main(["builtin", "runtime=local", "evaluation.max_tasks=60", "evaluation.robustness_resolution=1.0"]) == 0
     content = json.loads((tmp_path / "runs/builtin-evaluation/evaluation.json").read_text())
     assert content["tightenings"] >= 5 and content["trained"]["TTAR"] > 0.7
-    names = r"\(all, builtin, nine, three\)"
+    names = r"\(all, builtin, nine, quick, three\)"
     with pytest.raises(InputError, match=rf"buildin: no such folder, nor a policy .* {names}"):
         main(["buildin"])
 
