@@ -147,8 +147,8 @@ class ArrivalConfig:
     """Of what is left after each further step; after the last of a window a network foresees the rest."""
     ends: float | None = None
     """What is left after a step (the sum of squares of `learner.encoding.residuals`) that ends half of what is to come:
-    who arrives need not stay, and not in every pose can one. At the thresholds in all three it is 3. None: nothing
-    ends, who arrives has to stay."""
+    who arrives need not stay, and not in every pose can one. At the thresholds in all three it is 3. Windows end at a
+    first arrival at the latest then. None: nothing ends, who arrives has to stay."""
     time: float = 0.0
     """Cost of every step besides what is left: being off by three times the thresholds costs 2.5."""
     batch_size: int = 64

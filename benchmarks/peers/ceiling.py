@@ -21,10 +21,10 @@ def ceilings(config, rounds=3):
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        rounds = [{name: seconds(work) for name, work in works.items()} for _ in range(rounds)]
+        times = [{name: seconds(work) for name, work in works.items()} for _ in range(rounds)]
     finally:
         torch.set_num_threads(threads)
-    took = {name: statistics.median(times[name] for times in rounds) for name in works}
+    took = {name: statistics.median(one[name] for one in times) for name in works}
     together = os.cpu_count() * config.samples_per_iteration
     return {
         "physics alone": together / took["physics"],
